@@ -48,7 +48,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if "not slow" in config.option.markexpr:
         os.environ[QUICK] = "1"
     if hasattr(config, "workerinput"):
-        _compile_one_at_a_time()
+        _lock_compilation()
         _share_rewriting(config)
 
 
@@ -111,8 +111,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @cache
 def _remembers(module: ModuleType) -> bool:
     """Return whether the module has a function that keeps what it has made."""
-    own = (value for value in vars(module).values() if getattr(value, "__module__", "") == module.__name__)
-    return any(hasattr(value, "cache_clear") for value in own)
+    members = (value for value in vars(module).values() if getattr(value, "__module__", "") == module.__name__)
+    return any(hasattr(value, "cache_clear") for value in members)
 
 
 def _group(item: pytest.Item) -> str:
@@ -142,7 +142,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     gc.set_threshold(50_000, 20, 50)
 
 
-def _compile_one_at_a_time() -> None:
+def _lock_compilation() -> None:
     """Of the processes of a run one compiles a kernel; the others wait and read it from numba's cache on disk."""
     if sys.platform == "win32":  # each compiles for itself there
         return
@@ -154,7 +154,7 @@ def _compile_one_at_a_time() -> None:
     dispatcher: Any = Dispatcher
     compiled, depth = dispatcher.compile, 0
 
-    def compile_alone(self: Any, signature: Any) -> Any:
+    def compile_locked(self: Any, signature: Any) -> Any:
         nonlocal depth
         # numba's lock first: one thread of a process waits, and a kernel compiles those that it calls.
         with global_compiler_lock, Path(__file__).open() as lock:
@@ -166,4 +166,4 @@ def _compile_one_at_a_time() -> None:
             finally:
                 depth -= 1
 
-    dispatcher.compile = compile_alone
+    dispatcher.compile = compile_locked

@@ -36,7 +36,7 @@ class Bad:
 
     height: float  # of the ball
     trace: npt.NDArray[np.float64]  # m
-    fine_m: float
+    width_m: float
 
     def speed(self, after: float) -> npt.NDArray[np.float64]:
         return np.array([after])
@@ -56,28 +56,28 @@ def problems(name: str, thing: Any, *, fields: bool = True) -> Iterator[str]:
         for key, member in vars(thing).items():
             if key.startswith("_") and key not in ("__init__", "__call__"):
                 continue
-            about = inspect.getdoc(thing) or "" if key == "__init__" else ""
+            class_doc = inspect.getdoc(thing) or "" if key == "__init__" else ""
             if isinstance(member, property):
                 member = member.fget
             if isinstance(member, classmethod | staticmethod):
                 member = member.__func__
             if inspect.isfunction(member) and not (key == "__init__" and is_dataclass(thing)):
-                yield from _function(f"{name}.{key}", member, about)
+                yield from _function(f"{name}.{key}", member, class_doc)
     elif inspect.isroutine(thing):
         yield from _function(name, thing, "")
         if "Args:" not in (inspect.getdoc(thing) or "") or "Returns:" not in (inspect.getdoc(thing) or ""):
             yield f"{name}: no Args or no Returns"
 
 
-def _function(name: str, function: Callable[..., Any], about: str) -> Iterator[str]:
-    doc = about or inspect.getdoc(function) or ""
+def _function(name: str, function: Callable[..., Any], class_doc: str) -> Iterator[str]:
+    doc = class_doc or inspect.getdoc(function) or ""
     if not doc:
         yield f"{name}: no docstring"
     for key, parameter in inspect.signature(function).parameters.items():
-        said = re.search(rf"^\s+{key}: (.*(?:\n {{8,}}.*)*)", doc, re.MULTILINE)
-        if "Args:" in doc and key not in ("self", "cls") and said is None:
+        entry = re.search(rf"^\s+{key}: (.*(?:\n {{8,}}.*)*)", doc, re.MULTILINE)
+        if "Args:" in doc and key not in ("self", "cls") and entry is None:
             yield f"{name}: {key} is not among Args"
-        yield from _quantity(f"{name}: {key}", str(parameter.annotation), said.group(1) if said else doc, key)
+        yield from _quantity(f"{name}: {key}", str(parameter.annotation), entry.group(1) if entry else doc, key)
     returned = str(inspect.signature(function).return_annotation)
     if ARRAY.search(returned) and not SHAPE.search(doc):
         yield f"{name}: returns an array of no shape"
@@ -91,10 +91,10 @@ def _fields(name: str, kind: type) -> Iterator[str]:
         yield from _quantity(f"{name}.{key}", str(annotation), comment, key)
 
 
-def _quantity(name: str, annotation: str, said: str, key: str) -> Iterator[str]:
-    if NUMBER.search(annotation) and not (IN_NAME.search(key) or UNIT.search(said)):
+def _quantity(name: str, annotation: str, description: str, key: str) -> Iterator[str]:
+    if NUMBER.search(annotation) and not (IN_NAME.search(key) or UNIT.search(description)):
         yield f"{name}: no unit"
-    if ARRAY.search(annotation) and not SHAPE.search(said):
+    if ARRAY.search(annotation) and not SHAPE.search(description):
         yield f"{name}: no shape"
 
 

@@ -41,7 +41,7 @@ class FirstTry:
         self.buffer: list[int] = []
 
     def feed(self, data: bytes) -> list[dict[str, int]]:
-        found = []
+        frames = []
         for byte in data:
             if byte:
                 self.buffer.append(byte)
@@ -49,9 +49,9 @@ class FirstTry:
             if self.buffer:
                 fields = self.decode(self.buffer)
                 if fields is not None:
-                    found.append(fields)
+                    frames.append(fields)
             self.buffer = []
-        return found
+        return frames
 
     @staticmethod
     def decode(stuffed: list[int]) -> dict[str, int] | None:
@@ -131,15 +131,15 @@ def throughput(row_name: str, make_stream: Callable[[list[bytes]], bytes]) -> di
     rng = np.random.default_rng(SEED)
     state = next(row for row in ROWS if row.name == "STATE")
     frames = [random_frame(rng, state) for _ in range(STREAM_FRAMES)]
-    ours, events = _rate(StreamDecoder().feed, _chunks(make_stream(frames)), len(frames))
-    few = frames[:BASELINE_FRAMES]
-    baseline, _ = _rate(FirstTry().feed, _chunks(make_stream(few)), len(few))
+    rate, events = _rate(StreamDecoder().feed, _chunks(make_stream(frames)), len(frames))
+    first_frames = frames[:BASELINE_FRAMES]
+    baseline, _ = _rate(FirstTry().feed, _chunks(make_stream(first_frames)), len(first_frames))
     return {
         "name": row_name,
-        "value": round(ours),
+        "value": round(rate),
         "unit": "frames/s",
         "baseline": round(baseline),
-        "ratio": round(ours / baseline, 1),
+        "ratio": round(rate / baseline, 1),
         "note": f"STATE frames in reads of {CHUNK} bytes, {events} events from {len(frames)} frames; "
         "baseline: byte by byte, CRC bit by bit, fields in a dict",
     }
@@ -152,8 +152,8 @@ def damaged_batches(total: int, seed: int = SEED) -> Iterator[tuple[bytes, int]]
     delimiter on both sides keeps the damage of two neighbours from adding up to more than three flips.
     """
     rng = np.random.default_rng(seed)
-    others = [row for row in ROWS if row.name != "STATE"]
-    shares = {row.name: (1 - STATE_SHARE) / len(others) for row in others} | {"STATE": STATE_SHARE}
+    other_rows = [row for row in ROWS if row.name != "STATE"]
+    shares = {row.name: (1 - STATE_SHARE) / len(other_rows) for row in other_rows} | {"STATE": STATE_SHARE}
     counts = {name: int(total * share) for name, share in shares.items()}
     counts["STATE"] += total - sum(counts.values())
     for row in ROWS:
@@ -204,7 +204,7 @@ def run(damaged: int = 10_000_000) -> list[dict[str, Any]]:
     start = time.perf_counter()
     accepted, causes = count_accepted(damaged)
     seconds = time.perf_counter() - start
-    by_cause = ", ".join(f"{cause} {count}" for cause, count in sorted(causes.items()))
+    rejected = ", ".join(f"{cause} {count}" for cause, count in sorted(causes.items()))
     rows.append(
         {
             "name": "damaged frames accepted",
@@ -212,7 +212,7 @@ def run(damaged: int = 10_000_000) -> list[dict[str, Any]]:
             "unit": f"of {damaged:.0e}".replace("e+0", "e"),
             "baseline": round(damaged / 65536),  # what a 16-bit check passes of arbitrary bytes
             "ratio": None,
-            "note": f"1 to 3 bits flipped anywhere, all {len(BODY_SIZE)} types, {seconds:.0f} s; rejected: {by_cause}; "
+            "note": f"1 to 3 bits flipped anywhere, all {len(BODY_SIZE)} types, {seconds:.0f} s; rejected: {rejected}; "
             "baseline: arbitrary bytes and a 16-bit CRC alone",
         }
     )

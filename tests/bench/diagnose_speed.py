@@ -45,30 +45,30 @@ def run(quick: bool | None = None) -> list[dict[str, Any]]:
 
 def _step(foreign: Path) -> dict[str, Any]:
     cpu = time.process_time()
-    found = diagnose(load(foreign), Options(quick=True))
+    diagnosis = diagnose(load(foreign), Options(quick=True))
     cpu_s = time.process_time() - cpu
-    value = cpu_s / found.budget.spent
+    value = cpu_s / diagnosis.budget.spent
     return {
         "name": "diagnose quick, six foreign recordings: processor time of a filter step",
         "value": value,
         "unit": "s",
         "baseline": STEP_S,
         "ratio": STEP_S / value,
-        "note": f"{cpu_s:.1f} s in all, {100.0 * found.budget.used:.0f} % of the budget; {found.verdict}",
+        "note": f"{cpu_s:.1f} s in all, {100.0 * diagnosis.budget.used:.0f} % of the budget; {diagnosis.verdict}",
     }
 
 
 def _rows(folder: Path, mode: str) -> list[dict[str, Any]]:
     campaign = load(folder)
     wall, cpu = time.perf_counter(), time.process_time()
-    found = diagnose(campaign, Options(quick=mode == "quick"))
+    diagnosis = diagnose(campaign, Options(quick=mode == "quick"))
     between = time.perf_counter()
-    summarise(found, campaign.controller, quick=mode == "quick", seed=0)
+    summarise(diagnosis, campaign.controller, quick=mode == "quick", seed=0)
     wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
-    stages = {**found.stages_s, "pictures": time.perf_counter() - between}
+    stages = {**diagnosis.stages_s, "pictures": time.perf_counter() - between}
     target = TARGETS_S[mode]
     shares = ", ".join(f"{name} {100.0 * took / wall_s:.0f} %" for name, took in stages.items())
-    named = ", ".join(cause.name for cause in found.causes) or found.verdict
+    named = ", ".join(cause.name for cause in diagnosis.causes) or diagnosis.verdict
     return [
         {
             "name": f"diagnose {mode}: {what}",

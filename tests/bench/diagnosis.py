@@ -56,20 +56,20 @@ def run(
         raise UsageError(f"--runs {runs}, --seed {seed}: a negative number", remedy="Give whole numbers from 0")
     first = seed or 0
     program = program_digest()
-    wanted = [
+    trials = [
         (each, first + n)
         for each in PARTS
         if part == each or (part is None and each != "gateway")
         for n in range((WHOLE[each] if runs == 0 else runs) if runs is not None else DEFAULT_RUNS)
     ]
-    outcomes = play(wanted, program=program, quick=bool(quick), results=results)
+    outcomes = play(trials, program=program, quick=bool(quick), results=results)
     if show is not None:
         show(f"\nprogram {program}, seeds {first} on{', quick' if quick else ''}\n\n{page(outcomes)}")
     return _rows(outcomes)
 
 
 def play(
-    wanted: list[tuple[Part, int]], *, program: str, quick: bool = False, results: Path | None = None
+    trials: list[tuple[Part, int]], *, program: str, quick: bool = False, results: Path | None = None
 ) -> list[Outcome]:
     """The outcomes of these (part, seed), in this order; those in `results` are not run again."""
     known = {
@@ -77,28 +77,28 @@ def play(
         for o in _read(results)
         if o.program == program and o.quick == quick and o.status != "failed"
     }
-    missing = [key for key in wanted if key not in known]
+    missing = [key for key in trials if key not in known]
     began = time.monotonic()
     with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
         running = {
             pool.submit(run_trial, draw_hidden(seed, part), program=program, quick=quick) for part, seed in missing
         }
-        for n, done in enumerate(as_completed(running), 1):
-            outcome = done.result()
+        for n, future in enumerate(as_completed(running), 1):
+            outcome = future.result()
             known[(outcome.part, outcome.seed)] = outcome
             _append(results, outcome)
             print(
                 f"[{time.monotonic() - began:6.0f} s] {n}/{len(missing)} {_line(outcome)}", file=sys.stderr, flush=True
             )
-    return [known[key] for key in wanted]
+    return [known[key] for key in trials]
 
 
 def _line(o: Outcome) -> str:
     truth = " + ".join(f"{name}={value:.3g}" for name, value in zip(o.truths, o.strengths, strict=True)) or "nothing"
     small = "".join(f", too small {name}" for name, _ in o.minor_effects)
-    said = o.message if o.status != "answered" else f"{o.verdict}: {', '.join(o.named) or '-'}{small}"
+    answer = o.message if o.status != "answered" else f"{o.verdict}: {', '.join(o.named) or '-'}{small}"
     mark = "?" if o.judgement is None or o.judgement.right is None else "+" if o.judgement.right else "-"
-    return f"{mark} {o.part} {o.seed} {o.plant}: {truth} -> {said} ({o.diagnose_s:.0f} s)"
+    return f"{mark} {o.part} {o.seed} {o.plant}: {truth} -> {answer} ({o.diagnose_s:.0f} s)"
 
 
 def _rows(outcomes: list[Outcome]) -> list[dict[str, Any]]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from tests.bench.line import steps
-from tests.bench.line.processes import HERE, cpu_s, end, listening, ready, start
+from tests.bench.line.processes import SCRIPTS, cpu_s, end, listening, ready, start
 from tests.harness.ports import free_port
 
 WARM_S = 4.0  # start-up, handshake, caches
@@ -42,14 +42,14 @@ def run(part: str = "") -> list[dict[str, Any]]:
     """Rows for `board51 bench`; `part` is `steps`, a number of boards, or "" for all of them."""
     rows = steps.run() if part in ("", "steps") else []
     for boards in (1, 8, 32) if not part else () if part == "steps" else (int(part),):
-        ours, bare = measure(boards, bare=False), measure(boards, bare=True)
+        complete, bare = measure(boards, bare=False), measure(boards, bare=True)
         for name, unit in (("median_ms", "ms"), ("p99_ms", "ms"), ("cores", "cores"), ("us_per_frame", "us")):
-            value, baseline = getattr(ours, name), getattr(bare, name)
+            value, baseline = getattr(complete, name), getattr(bare, name)
             rows.append(
                 {"name": f"{boards} boards: {name}", "value": value, "unit": unit, "baseline": baseline,
                  "ratio": value / baseline if baseline else None, "note": "baseline: bare loop"}
             )  # fmt: skip
-        lost = {"name": f"{boards} boards: lost of {ours.sent}", "value": ours.lost, "unit": "samples"}
+        lost = {"name": f"{boards} boards: lost of {complete.sent}", "value": complete.lost, "unit": "samples"}
         rows.append({**lost, "baseline": bare.lost, "ratio": None, "note": f"{WINDOW_S:.0f} s"})
     return rows
 
@@ -70,17 +70,17 @@ def measure(boards: int, *, bare: bool, keys: Path | None = None) -> Result:
         processes: list[subprocess.Popen[str]] = []
         try:
             seconds = WARM_S + WINDOW_S + TAIL_S + 30
-            processes.append(start(HERE / "load.py", folder, boards, seconds))
+            processes.append(start(SCRIPTS / "load.py", folder, boards, seconds))
             ready(processes[-1])
             if bare:
-                middle = start(HERE / "bare_loop.py", folder, boards, endpoint)
+                middle = start(SCRIPTS / "bare_loop.py", folder, boards, endpoint)
             else:
                 names = [word for n in range(boards) for word in ("--board", f"b{n}={folder}/tty{n}")]
                 middle = start("-m", "board51", "gateway", "--site", "bench", *names, "--listen", endpoint,
                                "--log-dir", folder / "logs", *guard)  # fmt: skip
             processes.append(middle)
             listening(endpoint)
-            processes.append(start(HERE / "subscriber.py", folder, endpoint, first=False, **identity))
+            processes.append(start(SCRIPTS / "subscriber.py", folder, endpoint, first=False, **identity))
             ready(processes[-1])
             time.sleep(WARM_S)
             begin, cpu = time.monotonic_ns(), cpu_s(middle.pid)
@@ -105,10 +105,10 @@ def result(folder: Path, begin: int, over: int, cpu: float) -> Result:
     arrived = np.load(folder / "arrived.npy")
     at = np.zeros_like(written)
     at[arrived[:, 0], arrived[:, 1] % written.shape[1]] = arrived[:, 2]
-    inside = (written >= begin) & (written < over)
-    got = inside & (at > 0)
+    in_window = (written >= begin) & (written < over)
+    got = in_window & (at > 0)
     latency_ms = (at[got] - written[got]) * 1e-6
-    sent = int(inside.sum())
+    sent = int(in_window.sum())
     seconds = (over - begin) * 1e-9
     return Result(
         median_ms=float(np.median(latency_ms)) if latency_ms.size else float("nan"),

@@ -39,18 +39,18 @@ _NAMES = ("K_A", "T_A", "K_c", "b")
 def run() -> list[dict[str, Any]]:
     """The rows of the benchmark."""
     record = BALL.closed_loop(wandering(1, TICKS), TICKS, seed=2)
-    ours, ours_s = _ours(record)
+    estimate, estimate_s = _timed_estimate(record)
     evaluations, fitted, short_s = _baseline_fit(_head(record, SHORT_TICKS))
     full_s = min(_time_cost(record) for _ in range(3))
     baseline_s = evaluations * full_s
-    short_ours, _ = _ours(_head(record, SHORT_TICKS))
+    short_estimate, _ = _timed_estimate(_head(record, SHORT_TICKS))
     rows: list[dict[str, Any]] = [
         {
             "name": "identify: four parameters, 20 s at 500 Hz",
-            "value": ours_s,
+            "value": estimate_s,
             "unit": "s",
             "baseline": baseline_s,
-            "ratio": baseline_s / ours_s,
+            "ratio": baseline_s / estimate_s,
             "note": f"baseline: {evaluations} cost evaluations of a fit on {SHORT_TICKS * BALL.tick:g} s "
             f"(measured {short_s:.1f} s) x {full_s:.2f} s for one on 20 s",
         }
@@ -60,12 +60,12 @@ def run() -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": f"identify: relative error of {name} on the same 1 s",
-                "value": abs(getattr(short_ours.theta, name) / true - 1.0),
+                "value": abs(getattr(short_estimate.theta, name) / true - 1.0),
                 "unit": "1",
                 "baseline": abs(float(fitted[n]) / true - 1.0),
                 "ratio": abs(float(fitted[n]) / true - 1.0)
-                / max(abs(getattr(short_ours.theta, name) / true - 1.0), 1e-12),
-                "note": f"on 20 s ours is off by {abs(getattr(ours.theta, name) / true - 1.0):.1e}",
+                / max(abs(getattr(short_estimate.theta, name) / true - 1.0), 1e-12),
+                "note": f"on 20 s ours is off by {abs(getattr(estimate.theta, name) / true - 1.0):.1e}",
             }
         )
     whole, whole_s, count = _campaign()
@@ -104,21 +104,21 @@ def _estimate(record: Record) -> Fit:
         return fit(Blocks(criterion), starts.theta(starts.amplifier, plant.mass_kg), BASE)
 
 
-def _ours(record: Record) -> tuple[Fit, float]:
+def _timed_estimate(record: Record) -> tuple[Fit, float]:
     _estimate(_head(record, 500))  # compiles, or loads the compiled kernels
     best = math.inf
     for _ in range(3):
         began = time.perf_counter()
-        found = _estimate(record)
+        estimate = _estimate(record)
         best = min(best, time.perf_counter() - began)
-    return found, best
+    return estimate, best
 
 
 def _campaign() -> tuple[bool, float, int]:
     records = [BALL.closed_loop(wandering(n, 15_000), 15_000, seed=n, name=f"flight {n}") for n in range(3)]
     began = time.perf_counter()
-    found = identify_records(BALL.campaign, records)
-    return found.usable, time.perf_counter() - began, sum(len(r.t) for r in records)
+    identification = identify_records(BALL.campaign, records)
+    return identification.usable, time.perf_counter() - began, sum(len(r.t) for r in records)
 
 
 def _simulate(theta: FloatArray, record: Record) -> FloatArray:
@@ -169,8 +169,8 @@ def _baseline_fit(record: Record) -> tuple[int, FloatArray, float]:
         return _residual(theta, record)
 
     began = time.perf_counter()
-    found = least_squares(residual, start, x_scale=0.1)
-    return count, np.exp(found.x), time.perf_counter() - began
+    solution = least_squares(residual, start, x_scale=0.1)
+    return count, np.exp(solution.x), time.perf_counter() - began
 
 
 if __name__ == "__main__":

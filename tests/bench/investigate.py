@@ -55,25 +55,25 @@ def run(
         quick: short recordings, and no thorough diagnosis.
         show: takes a line for each rig.
     """
-    asked, whole = [], []
+    investigations, whole = [], []
     truths = []
     for number in range(seed or 0, (seed or 0) + (runs or DEFAULT_RUNS)):
         ((truth, strength),) = draw_hidden(number, "gateway").effects.items()
-        one, other = _investigated({truth: strength}, quick=bool(quick)), _whole({truth: strength}, quick=bool(quick))
+        first, other = _investigated({truth: strength}, quick=bool(quick)), _whole({truth: strength}, quick=bool(quick))
         truths.append(truth)
-        asked.append(one)
+        investigations.append(first)
         whole.append(other)
-        show(f"{truth}={strength:.3g}: {_words(one)}; campaign and diagnosis: {_words(other)}")
+        show(f"{truth}={strength:.3g}: {_words(first)}; campaign and diagnosis: {_words(other)}")
         if results is not None:
             with results.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"truth": truth, "investigate": asdict(one), "campaign": asdict(other)}) + "\n")
+                file.write(json.dumps({"truth": truth, "investigate": asdict(first), "campaign": asdict(other)}) + "\n")
     return [
-        _row("time on the rig, median", "s", [way.rig_s for way in asked], [way.rig_s for way in whole]),
-        _row("recordings, median", "1", [way.recordings for way in asked], [way.recordings for way in whole]),
+        _row("time on the rig, median", "s", [way.rig_s for way in investigations], [way.rig_s for way in whole]),
+        _row("recordings, median", "1", [way.recordings for way in investigations], [way.recordings for way in whole]),
         _row(
             "named rightly, of all",
             "1",
-            [float(way.has(truth)) for way, truth in zip(asked, truths, strict=True)],
+            [float(way.has(truth)) for way, truth in zip(investigations, truths, strict=True)],
             [float(way.has(truth)) for way, truth in zip(whole, truths, strict=True)],
             of=statistics.fmean,
         ),
@@ -81,16 +81,20 @@ def run(
 
 
 def _row(
-    name: str, unit: str, ours: list[float], theirs: list[float], of: Callable[[list[float]], float] = statistics.median
+    name: str,
+    unit: str,
+    values: list[float],
+    baselines: list[float],
+    of: Callable[[list[float]], float] = statistics.median,
 ) -> dict[str, Any]:
-    value, baseline = of(ours), of(theirs)
+    value, baseline = of(values), of(baselines)
     return {
         "name": f"investigate: {name}",
         "value": value,
         "unit": unit,
         "baseline": baseline,
         "ratio": value / baseline if baseline else None,
-        "note": f"{len(ours)} hidden rigs; baseline: campaign run and diagnose",
+        "note": f"{len(values)} hidden rigs; baseline: campaign run and diagnose",
     }
 
 
@@ -121,24 +125,26 @@ def _whole(effects: Mapping[str, float], *, quick: bool) -> Way:
         )
 
 
-def _way(rig_s: float, found: Mapping[str, Any], folder: Path) -> Way:
+def _way(rig_s: float, diagnosis: Mapping[str, Any], folder: Path) -> Way:
     return Way(
         rig_s=rig_s,
         recordings=len(list(folder.glob("*.mcap"))),
-        verdict=found["verdict"],
-        named=[[cause["name"], *cause["indistinguishable_from"]] for cause in found["causes"]],
+        verdict=diagnosis["verdict"],
+        named=[[cause["name"], *cause["indistinguishable_from"]] for cause in diagnosis["causes"]],
     )
 
 
 def _call(*words: str) -> dict[str, Any]:
     """What a command prints as JSON, whatever its exit code says of the answer."""
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "board51", *words],
         cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=TIMEOUT_S,
         check=False,
     )  # fmt: skip
     try:
-        table: dict[str, Any] = json.loads(done.stdout)
+        table: dict[str, Any] = json.loads(process.stdout)
     except ValueError:
-        raise RuntimeError(f"board51 {' '.join(words)} ended with {done.returncode}: {done.stderr[-500:]}") from None
+        raise RuntimeError(
+            f"board51 {' '.join(words)} ended with {process.returncode}: {process.stderr[-500:]}"
+        ) from None
     return table

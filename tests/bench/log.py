@@ -32,12 +32,12 @@ def run() -> list[Row]:
     """Write and read the same 200 s of samples with both; rows for `board51 bench`."""
     messages = [_sample(tick) for tick in range(SAMPLES)]
     with tempfile.TemporaryDirectory() as folder:
-        ours, plain = Path(folder) / "ours.mcap", Path(folder) / "plain.mcap"
-        write_s = min(_timed(_write_ours, ours, messages) for _ in range(REPEATS))
+        log_path, plain = Path(folder) / "ours.mcap", Path(folder) / "plain.mcap"
+        write_s = min(_timed(_write_log, log_path, messages) for _ in range(REPEATS))
         write_plain_s = min(_timed(_write_plain, plain, messages) for _ in range(REPEATS))
-        read_s = min(_timed(_read_ours, ours) for _ in range(REPEATS))
+        read_s = min(_timed(_read_log, log_path) for _ in range(REPEATS))
         read_plain_s = min(_timed(_read_plain, plain) for _ in range(REPEATS))
-        size, size_plain = ours.stat().st_size / SAMPLES, plain.stat().st_size / SAMPLES
+        size, size_plain = log_path.stat().st_size / SAMPLES, plain.stat().st_size / SAMPLES
     return [
         _row("write", SAMPLES / write_s, SAMPLES / write_plain_s, "messages/s", "ours flushes every 50 messages"),
         _row("read and parse", SAMPLES / read_s, SAMPLES / read_plain_s, "messages/s", "both parse protobuf"),
@@ -68,7 +68,7 @@ def _timed(work: Any, *arguments: Any) -> float:
     return time.perf_counter() - begin
 
 
-def _write_ours(path: Path, messages: list[tuple[int, bytes]]) -> None:
+def _write_log(path: Path, messages: list[tuple[int, bytes]]) -> None:
     path.unlink(missing_ok=True)
     writer = LogWriter(path)
     for number, (now_ns, data) in enumerate(messages, 1):
@@ -89,7 +89,7 @@ def _write_plain(path: Path, messages: list[tuple[int, bytes]]) -> None:
         writer.finish()
 
 
-def _read_ours(path: Path) -> None:
+def _read_log(path: Path) -> None:
     count = sum(1 for _ in LogReader(path).records(topics_=["state"]))
     assert count == SAMPLES
 

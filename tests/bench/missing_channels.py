@@ -89,9 +89,9 @@ def run(
             for variant in VARIANTS:
                 campaign = reduced(load(whole), variant, Path(scratch) / "left")
                 began = time.perf_counter()
-                found, widths = _found(campaign), _widths(campaign)
+                answer, widths = _answer(campaign), _widths(campaign)
                 took = time.perf_counter() - began
-                lines.append(f"| {variant.name} | {hidden or '-'} | {found} | {' | '.join(widths)} | {took:.0f} |")
+                lines.append(f"| {variant.name} | {hidden or '-'} | {answer} | {' | '.join(widths)} | {took:.0f} |")
                 if show is not None:
                     show(lines[-1])
                 rows.append(
@@ -101,7 +101,7 @@ def run(
                         "unit": "s",
                         "baseline": None,
                         "ratio": None,
-                        "note": f"{found}; 95 % interval of K_A, T_A, K_c, b: {', '.join(widths)}",
+                        "note": f"{answer}; 95 % interval of K_A, T_A, K_c, b: {', '.join(widths)}",
                     }
                 )
     if results is not None:
@@ -113,27 +113,27 @@ def reduced(campaign: Campaign, variant: Variant, folder: Path) -> Campaign:
     """The campaign as its user would have it without what the variant leaves out; `folder` is made anew."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    kept = tuple(recording for recording in campaign.recordings if variant.keeps(recording))
-    for recording in kept:
+    recordings = tuple(recording for recording in campaign.recordings if variant.keeps(recording))
+    for recording in recordings:
         with gzip.open(campaign.path_of(recording), "rt", encoding="utf-8") as text:
             rows = variant.edits(list(csv.DictReader(text)), recording)
         with gzip.open(folder / recording.file, "wt", encoding="utf-8", newline="") as text:
             writer = csv.DictWriter(text, rows[0])
             writer.writeheader()
             writer.writerows(rows)
-    return replace(campaign, folder=folder, recordings=kept)
+    return replace(campaign, folder=folder, recordings=recordings)
 
 
-def _found(campaign: Campaign) -> str:
+def _answer(campaign: Campaign) -> str:
     try:
-        found = diagnose(campaign, Options(quick=True))
+        diagnosis = diagnose(campaign, Options(quick=True))
     except DataError as error:
         return f"refused: {error}"
-    names = ", ".join(_class(found)) or "-"
-    return f"{found.verdict}: {names}"
+    names = ", ".join(_class(diagnosis)) or "-"
+    return f"{diagnosis.verdict}: {names}"
 
 
-def _class(found: Diagnosis) -> list[str]:
+def _class(diagnosis: Diagnosis) -> list[str]:
     return [
         f"{cause.name} ({cause.confidence:.2f})"
         + (
@@ -141,7 +141,7 @@ def _class(found: Diagnosis) -> list[str]:
             if cause.indistinguishable_from
             else ""
         )
-        for cause in found.causes
+        for cause in diagnosis.causes
     ]
 
 
@@ -151,9 +151,13 @@ def _widths(campaign: Campaign) -> list[str]:
         model = identify(campaign).model
     except DataError as error:
         return [f"refused: {error}", "", "", ""]
-    said = []
+    widths = []
     for name in ("K_A", "T_A", "K_c", "b"):
-        one = model.parameters[name]
-        known = one.ci95 is not None and one.value and one.verdict != "not-identifiable"
-        said.append(f"{50.0 * (one.ci95[1] - one.ci95[0]) / abs(one.value):.2g} %" if known and one.ci95 else "unknown")
-    return said
+        parameter = model.parameters[name]
+        known = parameter.ci95 is not None and parameter.value and parameter.verdict != "not-identifiable"
+        widths.append(
+            f"{50.0 * (parameter.ci95[1] - parameter.ci95[0]) / abs(parameter.value):.2g} %"
+            if known and parameter.ci95
+            else "unknown"
+        )
+    return widths

@@ -40,7 +40,7 @@ NOTE = """() => {
 def run() -> list[Row]:
     """Rows for `board51 bench`."""
     with tempfile.TemporaryDirectory(prefix="reactions-") as scratch:
-        return [*_on_a_rig(Path(scratch)), _under_a_flood(Path(scratch)), _beside_non_readers(Path(scratch))]
+        return [*_on_a_rig(Path(scratch)), _under_a_flood(Path(scratch)), _with_non_readers(Path(scratch))]
 
 
 def _row(name: str, value: float, unit: str, baseline: float, note: str) -> Row:
@@ -72,7 +72,7 @@ def _on_a_rig(folder: Path) -> list[Row]:
             bus.command(f"stop-{now_ns}", stop=pb.Stop())
             return now_ns
 
-        by_key, by_bus = ([_stopped_s(bus, press) for _ in range(ROUNDS)] for press in (key, call))
+        key_s, bus_s = ([_stopped_s(bus, press) for _ in range(ROUNDS)] for press in (key, call))
         lost_s = []
         for _ in range(ROUNDS):
             tab.wait_for_selector("body[data-live=yes]")
@@ -83,7 +83,7 @@ def _on_a_rig(folder: Path) -> list[Row]:
             emulator.signal(signal.SIGCONT)
     each = f"worst of {ROUNDS}"
     return [
-        _row("STOP by key on the page, to the coil off", max(by_key), "s", max(by_bus), f"{each}; promised 0.2 s"),
+        _row("STOP by key on the page, to the coil off", max(key_s), "s", max(bus_s), f"{each}; promised 0.2 s"),
         _row("a lost board, shown on the page", max(lost_s), "s", 1.0, f"{each}; baseline: the promise"),
     ]
 
@@ -104,8 +104,8 @@ def _under_a_flood(folder: Path) -> Row:
 
         def flood() -> None:
             while not stop.is_set():
-                asked = fresh(ping=pb.Ping()).SerializeToString()
-                for replies in [ben.session.get(ben.own_key, payload=asked, timeout=3.0) for _ in range(200)]:
+                payload = fresh(ping=pb.Ping()).SerializeToString()
+                for replies in [ben.session.get(ben.command_key, payload=payload, timeout=3.0) for _ in range(200)]:
                     list(replies)
 
         def stopped_s() -> float:
@@ -113,7 +113,7 @@ def _under_a_flood(folder: Path) -> Row:
             assert ana.command(stop=pb.Stop())
             return time.monotonic() - began_s
 
-        alone_s = max(stopped_s() for _ in range(ROUNDS))
+        quiet_s = max(stopped_s() for _ in range(ROUNDS))
         thread = threading.Thread(target=flood)
         thread.start()
         wait_for(lambda: any(event.name == "command-flood" for event in ana.events), "the flood")
@@ -121,10 +121,10 @@ def _under_a_flood(folder: Path) -> Row:
         stop.set()
         thread.join()
     note = f"worst of {ROUNDS}; promised 1 s; baseline: without the flood"
-    return _row("STOP of one sender under the flood of another", flooded_s, "s", alone_s, note)
+    return _row("STOP of one sender under the flood of another", flooded_s, "s", quiet_s, note)
 
 
-def _beside_non_readers(folder: Path) -> Row:
+def _with_non_readers(folder: Path) -> Row:
     with ExitStack() as stack:
         gateway = stack.enter_context(played_gateway())
         port, _ = stack.enter_context(hmi(folder, gateway.endpoint))
@@ -141,11 +141,11 @@ def _beside_non_readers(folder: Path) -> Row:
                     arrived.append(time.monotonic())
                 return statistics.mean(b - a for a, b in itertools.pairwise(arrived))
 
-            alone_s = interval_s()
+            quiet_s = interval_s()
             for _ in range(4):
                 stack.enter_context(never_reading(page))
-            beside_s = interval_s()
-    return _row("frames of a page beside four that never read", 1.0 / beside_s, "1/s", 1.0 / alone_s, "baseline: alone")
+            loaded_s = interval_s()
+    return _row("frames of a page beside four that never read", 1.0 / loaded_s, "1/s", 1.0 / quiet_s, "baseline: alone")
 
 
 if __name__ == "__main__":

@@ -73,7 +73,7 @@ def run(
     return [_row(name, scores) for name in commands]
 
 
-def answer_case(command: Sequence[str], case: Path, kept: Path) -> None:
+def answer_case(command: Sequence[str], case: Path, answer_folder: Path) -> None:
     """Run an entry on a copy of the case, with nothing of the set beside it; its answer is kept.
 
     Raises:
@@ -86,13 +86,13 @@ def answer_case(command: Sequence[str], case: Path, kept: Path) -> None:
         # A limit of processor time: a busy machine fails nobody.
         line = ["prlimit", f"--cpu={TIMEOUT_S:.0f}", *command, str(copy), str(out)]
         environment = clean_environment() | {"PYTHONPATH": str(ROOT)}
-        done = subprocess.run(line, env=environment, capture_output=True, text=True, check=False)
-        if done.returncode:
-            last = done.stderr.strip().splitlines()[-1:] or [""]
+        process = subprocess.run(line, env=environment, capture_output=True, text=True, check=False)
+        if process.returncode:
+            last = process.stderr.strip().splitlines()[-1:] or [""]
             raise DataError(
-                f"{shlex.join(command)} ended with {done.returncode}: {last[0]}", remedy="Run it by hand on a case"
+                f"{shlex.join(command)} ended with {process.returncode}: {last[0]}", remedy="Run it by hand on a case"
             )
-        shutil.copytree(out, kept)
+        shutil.copytree(out, answer_folder)
 
 
 def _commands(entries: Sequence[str]) -> dict[str, list[str]]:
@@ -115,11 +115,11 @@ def _scores(folder: Path, truths: Sequence[Truth], commands: dict[str, list[str]
     for truth in truths:
         base_m = math.nan
         for name, command in commands.items():
-            case, kept = folder / truth.case, folder / "answers" / name / truth.case
+            case, answer_folder = folder / truth.case, folder / "answers" / name / truth.case
             try:
-                if command and not kept.exists():
-                    answer_case(command, case, kept)
-                answer, predicted = read_answer(kept)
+                if command and not answer_folder.exists():
+                    answer_case(command, case, answer_folder)
+                answer, predicted = read_answer(answer_folder)
                 error = error_m(case, predicted)
                 base_m = error if name == BASE else base_m
                 scores[name].append(score(truth, answer, base_m=base_m, error_m=error))
@@ -130,7 +130,7 @@ def _scores(folder: Path, truths: Sequence[Truth], commands: dict[str, list[str]
 
 
 def _row(name: str, scores: dict[str, list[Score]]) -> dict[str, Any]:
-    mine, base = (sum(s.log_score for s in scores[one]) / len(scores[one]) for one in (name, BASE))
+    mine, base = (sum(s.log_score for s in scores[entry]) / len(scores[entry]) for entry in (name, BASE))
     return {
         "name": f"truth: {name}: log score",
         "value": mine,

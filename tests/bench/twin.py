@@ -98,13 +98,13 @@ def _naming() -> dict[str, Any]:
                 namer.take(state, output, mirror.regime)
         return time.process_time() - started
 
-    with_names, alone = (min(seconds(names=names) for _ in range(2)) for names in (True, False))
+    with_names, without_names = (min(seconds(names=names) for _ in range(2)) for names in (True, False))
     return {
         "name": "naming causes in flight",
-        "value": round(100.0 * (with_names - alone) / NAMED_S, 1),
+        "value": round(100.0 * (with_names - without_names) / NAMED_S, 1),
         "unit": "% of a core",
-        "baseline": round(100.0 * alone / NAMED_S, 1),
-        "ratio": with_names / alone,
+        "baseline": round(100.0 * without_names / NAMED_S, 1),
+        "ratio": with_names / without_names,
         "note": "baseline: Mirror.handle alone; target 3 %",
     }
 

@@ -41,13 +41,13 @@ Begin = Callable[..., subprocess.Popen[str]]  # title, words, environment
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class Measurement:
     """What one run showed within the window."""
 
     line: Result
     not_logged: int  # samples that were sent and are not in the log
     first: bool  # the gateway before ordinary processes
-    own_p99_ms: float  # read to handed to zenoh, as the gateway says itself; median of its seconds
+    gateway_p99_ms: float  # read to handed to zenoh, as the gateway says itself; median of its seconds
     cores: dict[str, float]  # CPU seconds per second, by process
     values: Counts  # by OPC UA client
     frames: Counts  # by browser
@@ -55,18 +55,18 @@ class Found:
 
 def run() -> list[Row]:
     """Rows for `board51 bench`."""
-    alone, loaded = measure(clients=False), measure(clients=True)
+    quiet, loaded = measure(clients=False), measure(clients=True)
     busy = f"baseline: no views, no clients; {WINDOW_S:.0f} s, gateway {'SCHED_RR' if loaded.first else 'SCHED_OTHER'}"
     rows: list[Row] = []
     for name, unit in (("p99_ms", "ms"), ("median_ms", "ms")):
         rows.append(
-            _row(f"gateway with clients: {name}", getattr(loaded.line, name), unit, busy, getattr(alone.line, name))
+            _row(f"gateway with clients: {name}", getattr(loaded.line, name), unit, busy, getattr(quiet.line, name))
         )
-    rows.append(_row("read to zenoh, the gateway's own p99", loaded.own_p99_ms, "ms", busy, alone.own_p99_ms))
+    rows.append(_row("read to zenoh, the gateway's own p99", loaded.gateway_p99_ms, "ms", busy, quiet.gateway_p99_ms))
     rows.append(
-        _row(f"lost for the subscriber, of {loaded.line.sent}", loaded.line.lost, "samples", busy, alone.line.lost)
+        _row(f"lost for the subscriber, of {loaded.line.sent}", loaded.line.lost, "samples", busy, quiet.line.lost)
     )
-    rows.append(_row(f"lost in the log, of {loaded.line.sent}", loaded.not_logged, "samples", busy, alone.not_logged))
+    rows.append(_row(f"lost in the log, of {loaded.line.sent}", loaded.not_logged, "samples", busy, quiet.not_logged))
     for n, counts in enumerate(loaded.values):
         longest = f"longest interval {counts['longest_ms']:.0f} ms"
         rows.append(_row(f"OPC UA client {n + 1}: each variable", counts["per_s"], "values/s", longest))
@@ -76,11 +76,11 @@ def run() -> list[Row]:
     if not loaded.frames:
         rows.append({"name": "browsers", "value": None, "unit": "", "note": f"NOT MEASURED: {ABSENT}"})
     for name, cores in loaded.cores.items():
-        rows.append(_row(f"CPU: {name}", cores, "cores", "", alone.cores.get(name)))
+        rows.append(_row(f"CPU: {name}", cores, "cores", "", quiet.cores.get(name)))
     return rows
 
 
-def measure(*, clients: bool) -> Found:
+def measure(*, clients: bool) -> Measurement:
     """One run, with views and clients or without."""
     with tempfile.TemporaryDirectory(prefix="board51-bench-") as name:
         folder = Path(name)
@@ -97,7 +97,7 @@ def measure(*, clients: bool) -> Found:
 
         try:
             seconds = START_UP_S + WARM_S + WINDOW_S + TAIL_S
-            line.ready(begin("emulated boards", line.HERE / "load.py", folder, BOARDS, seconds))
+            line.ready(begin("emulated boards", line.SCRIPTS / "load.py", folder, BOARDS, seconds))
             boards = [word for n in range(BOARDS) for word in ("--board", f"b{n}={folder}/tty{n}")]
             views = (
                 ["--opcua", f"127.0.0.1:{opcua}", "--opcua-rate", "50", "--hmi", f"127.0.0.1:{hmi}"] if clients else []
@@ -107,7 +107,7 @@ def measure(*, clients: bool) -> Found:
             clocks["gateway"] = lambda: line.cpu_s(middle.pid)  # its views apart
             line.listening(endpoint)
             first = line.goes_first(middle)
-            line.ready(begin("zenoh subscriber", line.HERE / "subscriber.py", folder, endpoint))
+            line.ready(begin("zenoh subscriber", line.SCRIPTS / "subscriber.py", folder, endpoint))
             if clients:
                 counting = _begin_clients(begin, folder, opcua, hmi)
                 for view in ("opcua", "hmi"):
@@ -125,19 +125,19 @@ def measure(*, clients: bool) -> Found:
         cores = {title: (after[title] - before[title]) / WINDOW_S for title in after}
         cores["everything else on this machine"] = cores.pop("machine") - sum(cores.values())
         outcome = result(folder, since_ns, until_ns, cores["gateway"] * WINDOW_S)
-        not_logged, own_p99_ms = _of_log(folder, since_ns, until_ns)
-        return Found(line=outcome, first=first, not_logged=not_logged, own_p99_ms=own_p99_ms, cores=cores,
+        not_logged, gateway_p99_ms = _of_log(folder, since_ns, until_ns)
+        return Measurement(line=outcome, first=first, not_logged=not_logged, gateway_p99_ms=gateway_p99_ms, cores=cores,
                      values=_counts(folder / "counts.json"), frames=_counts(folder / "frames.json"))  # fmt: skip
 
 
 def _begin_clients(begin: Begin, folder: Path, opcua: int, hmi: int) -> list[subprocess.Popen[str]]:
     nice = {"BOARD51_BENCH_NICE": CLIENTS_NICE}
     line.listening(f"tcp/127.0.0.1:{opcua}")
-    clients = [begin("OPC UA clients", line.HERE / "opcua_clients.py", folder, opcua, CLIENTS, BOARDS, **nice)]
+    clients = [begin("OPC UA clients", line.SCRIPTS / "opcua_clients.py", folder, opcua, CLIENTS, BOARDS, **nice)]
     line.ready(clients[0])
     if CHROMIUM is not None:
         line.listening(f"tcp/127.0.0.1:{hmi}")
-        clients.append(begin("browsers", line.HERE / "browsers.py", folder, hmi, CLIENTS, BOARDS, **nice))
+        clients.append(begin("browsers", line.SCRIPTS / "browsers.py", folder, hmi, CLIENTS, BOARDS, **nice))
         line.ready(clients[1])
     return clients
 
@@ -150,20 +150,20 @@ def _of_log(folder: Path, since_ns: int, until_ns: int) -> tuple[int, float]:
     """(samples of the window that the log lacks, median of the gateway's own p99 in ms)."""
     written = np.load(folder / "written.npy")
     logged = np.zeros(written.shape, bool)
-    own_ms = []
+    latencies_ms = []
     offset_ns = time.time_ns() - time.monotonic_ns()  # of Unix time
     for record in read(sorted((folder / "logs").glob("*.mcap")), topics=("state", "status")):
         if isinstance(record.message, pb.State):
             logged[int(record.board[1:]), record.message.tick % written.shape[1]] = True
         elif isinstance(record.message, pb.Status) and since_ns < record.time_ns - offset_ns < until_ns:
-            own_ms.append(record.message.latency_p99_ms)
-    inside = (written >= since_ns) & (written < until_ns)
-    return int((inside & ~logged).sum()), float(np.median(own_ms)) if own_ms else float("nan")
+            latencies_ms.append(record.message.latency_p99_ms)
+    in_window = (written >= since_ns) & (written < until_ns)
+    return int((in_window & ~logged).sum()), float(np.median(latencies_ms)) if latencies_ms else float("nan")
 
 
 def _counts(path: Path) -> Counts:
-    found: Counts = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
-    return found
+    counts: Counts = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+    return counts
 
 
 def _row(name: str, value: float, unit: str, note: str, baseline: float | None = None) -> Row:

@@ -16,9 +16,9 @@ from protocol.wire.messages import EventCode
 from tests.harness.firmware.avr_bench import AvrHost, skip_without_avr
 from tests.harness.gateway.board_host import Bench
 
-MOST_CYCLES = 0.9 * CYCLES_PER_TICK
-LEAST_STACK_FREE = 96  # bytes that nothing has ever used
-MOST_FLASH = 20 * 1024  # of 32 kB, of which a boot loader has 0.5
+MAX_CYCLES = 0.9 * CYCLES_PER_TICK
+MIN_STACK_FREE = 96  # bytes that nothing has ever used
+MAX_FLASH = 20 * 1024  # of 32 kB, of which a boot loader has 0.5
 RAM = 2048
 
 
@@ -30,7 +30,7 @@ def played() -> tuple[AvrHost, dict[str, int]]:
     host.run(5)
     host.hello()
     host.run(20)
-    host.ask("SET_HOST_LOSS", policy=0, timeout=60000)
+    host.request("SET_HOST_LOSS", policy=0, timeout=60000)
     worst: dict[str, int] = {}
 
     def measure(what: str, action: Callable[[], object], ticks: int = 40) -> None:
@@ -40,20 +40,21 @@ def played() -> tuple[AvrHost, dict[str, int]]:
         worst[what] = max(host.cycles[start:])
 
     measure("idle, STATE at 500 Hz", lambda: None)
-    measure("SET_MODE, closed loop (LQI)", lambda: host.ask("SET_MODE", mode=2))
+    measure("SET_MODE, closed loop (LQI)", lambda: host.request("SET_MODE", mode=2))
     shapes = ("step", "rectangle", "sawtooth", "PRBS", "multisine", "chirp")
     for shape, name in enumerate(shapes, start=1):
         signal = {"target": 1, "amplitude": 200, "offset": 2034, "period": 300, "period_end": 7, "seed": 0x7FFF}
-        measure(f"EXCITE {name}, and its ticks", partial(host.ask, "EXCITE", shape=shape, duration=30, **signal))
+        measure(f"EXCITE {name}, and its ticks", partial(host.request, "EXCITE", shape=shape, duration=30, **signal))
     slow = {f"k{n}_{part}": 32767 if part == "mantissa" else 30 for n in range(1, 5) for part in ("mantissa", "shift")}
     measure(
-        "closed loop (PID), shifts of 30", lambda: host.ask("SET_GAINS", law=1, i_0=1304, x_0=2034, u_0=1756, **slow)
+        "closed loop (PID), shifts of 30",
+        lambda: host.request("SET_GAINS", law=1, i_0=1304, x_0=2034, u_0=1756, **slow),
     )
-    measure("GET_PARAMETERS", lambda: host.ask("GET_PARAMETERS"))
+    measure("GET_PARAMETERS", lambda: host.request("GET_PARAMETERS"))
     measure("HELLO", host.hello)
     measure("a PING in each frame that the line holds", partial(pings, host, 60))
     measure("CAPTURE, sample by sample", capture(host))
-    measure("READ_CAPTURE", lambda: host.ask("READ_CAPTURE", index=0))
+    measure("READ_CAPTURE", lambda: host.request("READ_CAPTURE", index=0))
     return host, worst
 
 
@@ -61,8 +62,8 @@ def capture(host: AvrHost) -> Callable[[], object]:
     """From open loop, with the line full of commands."""
 
     def play() -> None:
-        host.ask("SET_MODE", mode=1)
-        assert host.ask("CAPTURE", u_from=300, u_to=1700, pre=50, count=200).name == "ACK"
+        host.request("SET_MODE", mode=1)
+        assert host.request("CAPTURE", u_from=300, u_to=1700, pre=50, count=200).name == "ACK"
         pings(host, 30)
 
     return play
@@ -80,7 +81,7 @@ def test_no_tick_takes_more_than_its_share(played: tuple[AvrHost, dict[str, int]
     for what, cycles in worst.items():
         print(f"| {what} | {cycles} | {100 * cycles / CYCLES_PER_TICK:.0f} % |")
 
-    assert max(worst.values()) < MOST_CYCLES
+    assert max(worst.values()) < MAX_CYCLES
     assert EventCode.OVERRUN not in host.codes()
     assert EventCode.CAPTURE_DONE in host.codes()
     assert host.bad_frames == 0
@@ -93,7 +94,7 @@ def test_ram_is_left_over_the_stack(played: tuple[AvrHost, dict[str, int]]) -> N
     free = host.board.stack_free
     print(f"variables {variables}, stack at its deepest {RAM - variables - free}, free {free} of {RAM} bytes")
 
-    assert free >= LEAST_STACK_FREE
+    assert free >= MIN_STACK_FREE
     assert RAM - variables - free > 50
 
 
@@ -101,7 +102,7 @@ def test_the_program_fits_beside_a_boot_loader(played: tuple[AvrHost, dict[str, 
     size = len(played[0].board.image.code)
     print(f"flash {size} bytes")
 
-    assert 8 * 1024 < size < MOST_FLASH
+    assert 8 * 1024 < size < MAX_FLASH
 
 
 def test_readings_and_input_keep_their_times(played: tuple[AvrHost, dict[str, int]]) -> None:

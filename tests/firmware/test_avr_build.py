@@ -27,18 +27,18 @@ def test_without_the_compiler_the_command_says_what_to_install(tmp_path: Path) -
     command = [sys.executable, "-m", "board51", "emulate", "--chip", "avr", "--duration", "1"]
     environment = {"PATH": str(tmp_path), "HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
 
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S, env=environment)
+    process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S, env=environment)
 
-    assert done.returncode != 0
-    assert "avr-gcc is not found" in done.stderr
-    assert "gcc-avr" in done.stderr
-    assert done.stderr.count("\n") == 1
+    assert process.returncode != 0
+    assert "avr-gcc is not found" in process.stderr
+    assert "gcc-avr" in process.stderr
+    assert process.stderr.count("\n") == 1
 
 
 def test_a_firmware_and_a_chip_are_not_flown_together() -> None:
     command = [sys.executable, "-m", "board51", "emulate", "--chip", "avr", "--firmware", "c"]
 
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S)
+    process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S)
 
-    assert done.returncode == 2
-    assert "not allowed with" in done.stderr
+    assert process.returncode == 2
+    assert "not allowed with" in process.stderr

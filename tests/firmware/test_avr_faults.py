@@ -37,7 +37,7 @@ def host(bench: Bench) -> AvrHost:
     host = AvrHost(AvrBoard(bench))
     host.run(BOOT_TICKS)
     host.hello()
-    assert host.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP)).name == "ACK"
+    assert host.request("SET_MODE", mode=int(Mode.CLOSED_LOOP)).name == "ACK"
     host.run(5)
     assert host.board.u > 1000
     return host
@@ -45,12 +45,12 @@ def host(bench: Bench) -> AvrHost:
 
 def test_after_a_dip_of_the_supply_the_first_thing_is_a_write_of_0(host: AvrHost) -> None:
     host.board.brown_out()
-    kept = host.board.u
+    code = host.board.u
 
-    ticks = host.ticks_until_off(at_most=1)
+    ticks = host.ticks_until_off(max_ticks=1)
     reset = host.until(EventCode.RESET_POWER_ON)
 
-    assert kept > 1000  # the converter has a supply of its own
+    assert code > 1000  # the converter has a supply of its own
     assert ticks == 1
     assert (reset.int("detail"), host.board.mode) == (0, Mode.IDLE)
 
@@ -62,15 +62,15 @@ def test_a_converter_that_wakes_up_with_a_current_is_taught_to_wake_up_with_0(st
     host.board.reset(EventCode.RESET_POWER_ON)
     before = host.board.u
 
-    off = host.ticks_until_off(at_most=1)
+    off = host.ticks_until_off(max_ticks=1)
     host.until(EventCode.RESET_POWER_ON)
     host.hello()
 
     assert before == stored_code & 0xFFF
     assert off == 1
     assert host.board.stored_input == 0
-    assert host.ask("GET_HEALTH").int("u_power_on") == 0
-    assert host.ask("SET_MODE", mode=int(Mode.OPEN_LOOP)).name == "ACK"
+    assert host.request("GET_HEALTH").int("u_power_on") == 0
+    assert host.request("SET_MODE", mode=int(Mode.OPEN_LOOP)).name == "ACK"
     assert EventCode.OUTPUT_FAULT not in host.codes()
 
 
@@ -82,14 +82,14 @@ def test_a_converter_that_does_not_store_is_not_said_to_wake_up_with_0(host: Avr
     host.until(EventCode.RESET_POWER_ON)
     host.hello()
 
-    assert host.ask("GET_HEALTH").int("u_power_on") == {OutputFault.DEAF: NOT_KNOWN, OutputFault.STUCK: 2048}[fault]
+    assert host.request("GET_HEALTH").int("u_power_on") == {OutputFault.DEAF: NOT_KNOWN, OutputFault.STUCK: 2048}[fault]
 
 
 def test_without_power_the_board_shows_nothing_of_its_memory(host: AvrHost) -> None:
     host.board.reset(EventCode.RESET_POWER_ON)
 
-    shown = (host.board.mode, host.board.dropped, host.board.bad_frames, host.board.next_tick)
-    assert shown == (Mode.IDLE, 0, 0, 0)
+    memory = (host.board.mode, host.board.dropped, host.board.bad_frames, host.board.next_tick)
+    assert memory == (Mode.IDLE, 0, 0, 0)
 
 
 def test_an_input_converter_that_does_not_answer_stops_nothing_and_is_a_fault(host: AvrHost) -> None:
@@ -98,23 +98,23 @@ def test_an_input_converter_that_does_not_answer_stops_nothing_and_is_a_fault(ho
     states = len(host.states)
     host.run(100)
     during = host.states[states:]
-    stopped = host.ask("STOP")
+    stopped = host.request("STOP")
     host.run(3)
-    still = host.states[-1]
+    last_state = host.states[-1]
     host.board.fail_output(OutputFault.NONE)
-    host.ticks_until_off(at_most=2)
+    host.ticks_until_off(max_ticks=2)
 
     assert len(during) == pytest.approx(100, abs=2)
     assert EventCode.OVERRUN not in host.codes()
     assert stopped.name == "ACK"
-    assert (still.u_c, still.flags & (Flag.FAULT | 3)) == (code, Flag.FAULT)
+    assert (last_state.u_c, last_state.flags & (Flag.FAULT | 3)) == (code, Flag.FAULT)
     assert host.the_event(EventCode.OUTPUT_FAULT).int("detail") == code
 
 
 def test_after_a_reset_a_converter_that_does_not_answer_is_a_fault_again(host: AvrHost) -> None:
     code = host.board.u
     host.board.fail_output(OutputFault.DEAF)
-    host.ask("RESET")
+    host.request("RESET")
     host.until(EventCode.RESET_COMMANDED)
     host.run(10)
 
@@ -129,7 +129,7 @@ def test_after_a_reset_a_converter_that_does_not_answer_is_a_fault_again(host: A
 def test_a_reset_in_an_acknowledge_of_the_converter_switches_off(host: AvrHost, byte: int, held: int) -> None:
     """The converter keeps its output through the reset and holds the bus: only clocks free it."""
     host.board.reset_in_acknowledge(byte, held=held)
-    kept = host.board.u
+    code = host.board.u
     begin = host.board.cycle
     while host.board.u and host.board.cycle < begin + 2 * CYCLES_PER_TICK:
         host.board.run_for(10)
@@ -138,7 +138,7 @@ def test_a_reset_in_an_acknowledge_of_the_converter_switches_off(host: AvrHost, 
     host.until(EventCode.RESET_WATCHDOG)
     host.run(10)
 
-    assert kept > 1000
+    assert code > 1000
     assert host.board.u == 0
     assert took_us < OFF_AFTER_RESET_US
     assert EventCode.OUTPUT_FAULT not in host.codes()
@@ -151,7 +151,7 @@ def test_a_converter_that_holds_its_bus_is_freed_by_clocks(host: AvrHost, falls:
     host.run(2)
     host.send("STOP")
 
-    host.ticks_until_off(at_most=2)
+    host.ticks_until_off(max_ticks=2)
 
     host.run(10)
     assert not {EventCode.OUTPUT_FAULT, EventCode.OVERRUN} & set(host.codes())
@@ -162,9 +162,9 @@ def test_a_bus_that_nothing_frees_stops_nothing_and_is_a_fault(host: AvrHost) ->
     states, start = len(host.states), len(host.cycles)
     host.run(100)
     during, longest = host.states[states:], max(host.cycles[start:])
-    stopped = host.ask("STOP")
+    stopped = host.request("STOP")
     host.board.hold_bus(0)
-    host.ticks_until_off(at_most=2)
+    host.ticks_until_off(max_ticks=2)
 
     assert len(during) == pytest.approx(100, abs=2)
     assert longest < 0.9 * CYCLES_PER_TICK
@@ -178,8 +178,8 @@ def test_the_interrupt_of_a_capture_does_not_enter_itself_on_a_slow_bus(host: Av
     """With 8 us a bit the step takes longer than the time to the next sample, which waits."""
     host.board.slow_bus(bit_us)
     for n in range(1, 11):
-        host.ask("SET_MODE", mode=int(Mode.OPEN_LOOP))
-        assert host.ask("CAPTURE", u_from=300, u_to=1700, pre=10 + n, count=60).name == "ACK"
+        host.request("SET_MODE", mode=int(Mode.OPEN_LOOP))
+        assert host.request("CAPTURE", u_from=300, u_to=1700, pre=10 + n, count=60).name == "ACK"
         inputs = set()
         while host.codes().count(EventCode.CAPTURE_DONE) < n:
             host.run()
@@ -195,7 +195,7 @@ def test_absurd_settings_with_a_right_crc_give_way_to_those_of_the_program() -> 
 
     host = started_with(content)
 
-    assert host.ask("GET_PARAMETERS").int("u_max") == LIMITS.u_max
+    assert host.request("GET_PARAMETERS").int("u_max") == LIMITS.u_max
     assert host.the_event(EventCode.SETTINGS_REJECTED).int("detail") == 17
 
 
@@ -205,7 +205,7 @@ def test_a_state_that_the_board_loses_is_missing_and_nothing_else_is(host: AvrHo
     host.run(5)
     bench.lossy = False
     after = host.board.next_tick
-    answer = host.ask("PING")
+    answer = host.request("PING")
     host.run(20)
 
     missing = {a + n for a, b in pairwise(s.sequence for s in host.states) for n in range(1, b - a)}
@@ -217,7 +217,7 @@ def test_a_state_that_the_board_loses_is_missing_and_nothing_else_is(host: AvrHo
 
 
 def test_settings_of_the_eeprom_are_in_force() -> None:
-    parameters = started_with(with_gain(stored(7), 1234)).ask("GET_PARAMETERS")
+    parameters = started_with(with_gain(stored(7), 1234)).request("GET_PARAMETERS")
 
     assert parameters.int("k1_mantissa") == 1234
 
@@ -233,7 +233,7 @@ def test_damaged_settings_give_way_to_those_of_the_program(damage: str) -> None:
         content[IDENTITY_SIZE if damage == "blank" else IDENTITY_SIZE + 11 :] = b"\xff" * 60
 
     host = started_with(bytes(content))
-    parameters = host.ask("GET_PARAMETERS")
+    parameters = host.request("GET_PARAMETERS")
 
     names = [f"k{n}_{part}" for n in range(1, 5) for part in ("mantissa", "shift")]
     values = [value for pair in zip(GAINS.mantissas, GAINS.shifts, strict=True) for value in pair]

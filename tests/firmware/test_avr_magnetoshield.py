@@ -43,11 +43,11 @@ def test_the_image_alone_flies_the_magnet_within_its_ticks() -> None:
     for x_m in (2.5e-3, 4e-3):
         host.send("SET_REFERENCE", x_ref=PROFILE.position.to_count(x_m))
         host.run(400)
-        seen = []
+        positions_m = []
         for _ in range(200):
             host.run()
-            seen.append(plant.x_m)
-        assert abs(statistics.mean(seen) - x_m) < 2e-5
+            positions_m.append(plant.x_m)
+        assert abs(statistics.mean(positions_m) - x_m) < 2e-5
 
     identity = next(message for message in host.messages if message.name == "IDENTITY")
     assert identity.values["build"] == build_of_sources()

@@ -100,17 +100,17 @@ class Kinds:
 
     @classmethod
     def of(cls, received: list[Event]) -> Kinds:
-        found = cls()
+        kinds = cls()
         for event in received:
             assert not isinstance(event, BadFrame), event
             if isinstance(event, State):
-                found.states.append(event)
+                kinds.states.append(event)
             elif event.name == "EVENT":
-                found.events.append(event)
+                kinds.events.append(event)
             else:
                 values = {name: value for name, value in event.values.items() if name not in OF_THE_CHIP}
-                found.answers.append(replace(event, values=values))
-        return found
+                kinds.answers.append(replace(event, values=values))
+        return kinds
 
     def names(self) -> list[str]:
         """Of the answers."""

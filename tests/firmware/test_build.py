@@ -121,17 +121,17 @@ def test_boards_of_one_process_do_not_see_each_other() -> None:
 
 
 def test_an_image_says_of_which_commit_or_release_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    said = {"ls-files": "core/core.h", "rev-parse": "0123456789abcdef", "status": ""}
-    monkeypatch.setattr(build, "_git", lambda *words: said[words[0]])
+    git_output = {"ls-files": "core/core.h", "rev-parse": "0123456789abcdef", "status": ""}
+    monkeypatch.setattr(build, "_git", lambda *words: git_output[words[0]])
 
     def build_now() -> bytes:
         build.build_of_sources.cache_clear()
         return build.build_of_sources()
 
     clean = build_now()
-    said["status"] = " M core/core.h"
+    git_output["status"] = " M core/core.h"
     changed = build_now()
-    said["ls-files"] = ""
+    git_output["ls-files"] = ""
     installed = build_now()
     monkeypatch.undo()
     build.build_of_sources.cache_clear()

@@ -33,7 +33,7 @@ def begun(board: AvrBoard | Mcs51Board) -> Any:
 
 
 def in_force(host: Any) -> dict[str, int]:
-    answer = host.ask("GET_CALIBRATION")
+    answer = host.request("GET_CALIBRATION")
     return {name: answer.int(name) for name in (*NONE, "kept")}
 
 
@@ -53,7 +53,7 @@ def after_power_on(host: AvrHost) -> dict[str, int]:
 
 def test_it_is_in_the_eeprom_after_some_ticks_and_outlives_the_power(avr: AvrHost) -> None:
     before = len(avr.cycles)
-    assert avr.ask("SET_CALIBRATION", **POINTS).name == "ACK"
+    assert avr.request("SET_CALIBRATION", **POINTS).name == "ACK"
     at_once = in_force(avr)
     avr.run(WRITTEN_TICKS)
     later = in_force(avr)
@@ -68,15 +68,15 @@ def test_it_is_in_the_eeprom_after_some_ticks_and_outlives_the_power(avr: AvrHos
 
 def test_power_that_goes_while_it_is_written_leaves_none(avr: AvrHost) -> None:
     for ticks in (0, 3, 6):  # the simulator takes a byte in each tick, a chip in each second one
-        avr.ask("SET_CALIBRATION", **POINTS | {"low_true": 164 + ticks})
+        avr.request("SET_CALIBRATION", **POINTS | {"low_true": 164 + ticks})
         avr.run(ticks)
 
         assert after_power_on(avr) == NONE | {"kept": 0}
 
 
-@pytest.mark.parametrize("kept", [b"\xff" * 10, struct.pack("<5H", *POINTS.values(), 0)], ids=["blank", "CRC"])
-def test_a_damaged_one_is_none(avr: AvrHost, kept: bytes) -> None:
-    avr.board.store(stored(7) + kept)
+@pytest.mark.parametrize("content", [b"\xff" * 10, struct.pack("<5H", *POINTS.values(), 0)], ids=["blank", "CRC"])
+def test_a_damaged_one_is_none(avr: AvrHost, content: bytes) -> None:
+    avr.board.store(stored(7) + content)
 
     assert after_power_on(avr) == NONE | {"kept": 0}
 
@@ -99,17 +99,17 @@ def test_a_chip_corrects_as_the_model_does(chip: type) -> None:
     readings = list(range(3, 4095, 151))
     uncorrected: list[int] = []
     corrected: list[int] = []
-    for points, seen in ((NONE, uncorrected), (POINTS, corrected)):
-        assert host.ask("SET_CALIBRATION", **points).name == "ACK"
+    for points, measured in ((NONE, uncorrected), (POINTS, corrected)):
+        assert host.request("SET_CALIBRATION", **points).name == "ACK"
         for count in readings:
             bench.x_m = POSITION.to_si(count)
             host.run(4)
-            seen.append(host.states[-1].x)
+            measured.append(host.states[-1].x)
 
     assert corrected == [Calibration(**POINTS).corrected(x) for x in uncorrected]
     assert max(abs(a - b) for a, b in zip(uncorrected, readings, strict=True)) <= 4  # a step of 10 bits
     assert in_force(host)["kept"] == (chip is AvrBoard)
-    refused = host.ask("SET_CALIBRATION", **POINTS | {"high_true": 3800})
+    refused = host.request("SET_CALIBRATION", **POINTS | {"high_true": 3800})
     assert (refused.int("reason"), refused.int("detail")) == (Reason.OUT_OF_RANGE, 500)
-    host.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP))
-    assert host.ask("SET_CALIBRATION", **NONE).int("reason") == Reason.WRONG_MODE
+    host.request("SET_MODE", mode=int(Mode.CLOSED_LOOP))
+    assert host.request("SET_CALIBRATION", **NONE).int("reason") == Reason.WRONG_MODE

@@ -28,8 +28,8 @@ def test_the_core_compiles_for_the_chip(compiler: str, source: Path, tmp_path: P
 
     out = tmp_path / f"{source.stem}.rel"
     command = [compiler, *COMMANDS[compiler], "-c", str(source), "-o", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    process = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
 
-    assert done.returncode == 0, done.stderr
-    assert done.stdout + done.stderr == ""
+    assert process.returncode == 0, process.stderr
+    assert process.stdout + process.stderr == ""
     assert out.exists()

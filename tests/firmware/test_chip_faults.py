@@ -38,7 +38,7 @@ class Chip:
         self.host: ChipHost[Any] = ChipHost(self.make(self.bench))
         self.host.run(BOOT_TICKS)
         self.host.hello()
-        assert self.host.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP)).name == "ACK"
+        assert self.host.request("SET_MODE", mode=int(Mode.CLOSED_LOOP)).name == "ACK"
         self.host.run(5)
         assert self.host.board.u > 1000
 
@@ -58,7 +58,7 @@ def host(chip: Chip) -> ChipHost[Any]:
 def test_a_program_that_hangs_is_reset_by_the_watchdog(chip: Chip, host: ChipHost[Any]) -> None:
     host.board.hang()
 
-    ticks = host.ticks_until_off(at_most=chip.watchdog_ticks)
+    ticks = host.ticks_until_off(max_ticks=chip.watchdog_ticks)
     reset = host.until(EventCode.RESET_WATCHDOG)
 
     assert ticks > 10  # until then the input is what it was: the program cannot know
@@ -78,13 +78,13 @@ def test_a_watchdog_reset_within_a_command_loses_that_command_alone(host: ChipHo
 
     assert (identity.name, identity.int("reset_cause")) == ("IDENTITY", EventCode.RESET_WATCHDOG)
     assert (host.board.u, host.board.mode) == (0, Mode.IDLE)
-    assert host.ask("PING").int("bad_frames") == 1
-    assert host.ask("SET_MODE", mode=1).name == "ACK"
+    assert host.request("PING").int("bad_frames") == 1
+    assert host.request("SET_MODE", mode=1).name == "ACK"
 
 
 def test_a_commanded_reset_sends_its_ack_and_switches_off_first(host: ChipHost[Any]) -> None:
-    answer = host.ask("RESET")
-    host.ticks_until_off(at_most=3)
+    answer = host.request("RESET")
+    host.ticks_until_off(max_ticks=3)
     reset = host.until(EventCode.RESET_COMMANDED)
 
     assert answer.name == "ACK"
@@ -106,16 +106,16 @@ def test_resets_are_counted_from_power_on(host: ChipHost[Any]) -> None:
 def test_power_is_interrupted(host: ChipHost[Any]) -> None:
     host.board.reset(EventCode.RESET_POWER_ON)
 
-    assert host.ticks_until_off(at_most=1) == 1
+    assert host.ticks_until_off(max_ticks=1) == 1
     host.until(EventCode.RESET_POWER_ON)
     assert host.hello().name == "IDENTITY"
     assert host.board.u == 0
 
 
 def test_a_host_that_is_gone_switches_off(host: ChipHost[Any]) -> None:
-    host.ask("PING")
+    host.request("PING")
 
-    ticks = host.ticks_until_off(at_most=HOST_LOST_TICKS)
+    ticks = host.ticks_until_off(max_ticks=HOST_LOST_TICKS)
 
     assert ticks > 240
     host.run(20)
@@ -123,46 +123,46 @@ def test_a_host_that_is_gone_switches_off(host: ChipHost[Any]) -> None:
 
 
 def test_a_current_converter_that_is_stuck_at_its_end_switches_off(chip: Chip, host: ChipHost[Any]) -> None:
-    host.ask("SET_HOST_LOSS", policy=0, timeout=60000)
+    host.request("SET_HOST_LOSS", policy=0, timeout=60000)
     chip.bench.i_a = 5.0
     chip.bench.x_m = 2.6e-3  # so that the law keeps the coil on
 
-    host.ticks_until_off(at_most=OVER_CURRENT_TICKS)
+    host.ticks_until_off(max_ticks=OVER_CURRENT_TICKS)
 
     host.run(20)
     assert host.the_event(EventCode.OVER_CURRENT).int("detail") == 4095  # 1023 of 10 bits is the end of 12
 
 
 def test_a_position_converter_that_is_stuck_at_its_end_switches_off(chip: Chip, host: ChipHost[Any]) -> None:
-    host.ask("SET_HOST_LOSS", policy=0, timeout=60000)
+    host.request("SET_HOST_LOSS", policy=0, timeout=60000)
     chip.bench.x_m = -1.0
     host.run(20)
     assert host.board.u > 0  # the law lifts a ball that seems to lie at the bottom
 
-    host.ticks_until_off(at_most=SENSOR_FAULT_TICKS)
+    host.ticks_until_off(max_ticks=SENSOR_FAULT_TICKS)
 
     host.run(20)
     assert host.the_event(EventCode.SENSOR_FAULT).int("detail") == 0
 
 
 def test_a_stack_that_is_too_deep_switches_off_until_a_reset(host: ChipHost[Any]) -> None:
-    free = host.ask("GET_HEALTH").int("stack_free")
+    free = host.request("GET_HEALTH").int("stack_free")
     host.board.break_stack()
 
-    assert host.ticks_until_off(at_most=2) > 0
+    assert host.ticks_until_off(max_ticks=2) > 0
     host.run(20)
     host.the_event(EventCode.STACK_FAULT)
-    assert host.ask("GET_HEALTH").int("stack_free") == 0
-    assert host.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP)).name == "ACK"
+    assert host.request("GET_HEALTH").int("stack_free") == 0
+    assert host.request("SET_MODE", mode=int(Mode.CLOSED_LOOP)).name == "ACK"
     host.run(5)
     assert (host.board.u, host.board.mode) == (0, Mode.IDLE)
     host.run(20)
     assert host.codes().count(EventCode.STACK_FAULT) == 2
-    host.ask("RESET")
+    host.request("RESET")
     host.until(EventCode.RESET_COMMANDED)
     host.hello()
-    assert 20 < free <= host.ask("GET_HEALTH").int("stack_free") < 200  # painted anew
-    assert host.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP)).name == "ACK"
+    assert 20 < free <= host.request("GET_HEALTH").int("stack_free") < 200  # painted anew
+    assert host.request("SET_MODE", mode=int(Mode.CLOSED_LOOP)).name == "ACK"
     host.run(5)
     assert host.board.u > 0
 
@@ -190,7 +190,7 @@ def test_a_line_that_is_full_of_anything_delays_no_tick_and_no_stop(host: ChipHo
     host.board.feed(bytes(2))
     host.board.feed(frame("STOP", id=255))
 
-    host.ticks_until_off(at_most=3)
+    host.ticks_until_off(max_ticks=3)
 
     assert abs(ticks - 1000) <= 1  # one may have begun
     assert EventCode.OVERRUN not in host.codes()

@@ -14,7 +14,7 @@ from protocol.wire.messages import Shape
 from tests.harness.firmware.core import Core
 
 INT32 = st.integers(-(1 << 31), (1 << 31) - 1)
-LEAST, MOST = -(1 << 31), (1 << 31) - 1
+INT32_MIN, INT32_MAX = -(1 << 31), (1 << 31) - 1
 
 
 @given(value=INT32, bits=st.integers(0, 31))
@@ -23,10 +23,10 @@ def test_a_shift_rounds_down(core: Core, value: int, bits: int) -> None:
 
 
 @given(a=INT32, b=INT32)
-@example(MOST, 1)
-@example(LEAST, -1)
-@example(LEAST, LEAST)
-@example(0, LEAST)
+@example(INT32_MAX, 1)
+@example(INT32_MIN, -1)
+@example(INT32_MIN, INT32_MIN)
+@example(0, INT32_MIN)
 def test_sums_saturate(core: Core, a: int, b: int) -> None:
     assert core.c.b51_saturated_sum(a, b) == saturate(a + b, 32)
     assert core.c.b51_saturated_difference(a, b) == saturate(a - b, 32)

@@ -25,10 +25,10 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, int], dic
         pytest.skip("the call graph is gcc's, and gcc is not installed")
     folder = tmp_path_factory.mktemp("graph")
     command = [gcc, "-std=c99", "-O1", "-fno-inline", "-fcallgraph-info=su", "-c", *map(str, CORE)]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    if "fcallgraph-info" in done.stderr:
+    process = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if "fcallgraph-info" in process.stderr:
         pytest.skip("this gcc has no -fcallgraph-info")
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     stack: dict[str, int] = {}
     calls: dict[str, set[str]] = {}
     for path in folder.glob("*.ci"):

@@ -76,8 +76,8 @@ def test_a_command_is_understood_where_the_table_understands_it(
     understood = decode_body(body)
     reason, _ = core.check(body)
 
-    wanted = {"type": Reason.UNKNOWN_TYPE, "length": Reason.BAD_LENGTH, "range": Reason.OUT_OF_RANGE}
-    assert reason == (0 if isinstance(understood, Message) else wanted[understood])
+    expected = {"type": Reason.UNKNOWN_TYPE, "length": Reason.BAD_LENGTH, "range": Reason.OUT_OF_RANGE}
+    assert reason == (0 if isinstance(understood, Message) else expected[understood])
 
 
 @pytest.mark.parametrize("golden", COMMANDS, ids=lambda golden: golden.title)

@@ -115,8 +115,8 @@ def test_at_its_limits_and_a_count_beside_them_the_integral_is_that_of_python(
 def test_within_two_counts_of_its_ends_the_integral_is_that_of_python(core: Core) -> None:
     python = ControlLaw(Gains(law=0, mantissas=(0, 0, 0, 0), shifts=(0, 0, 0, 0), i_0=0, x_0=0, u_0=0))
     core.load(python.gains)
-    for end, beside, error in product((-(1 << 23), (1 << 23) - 1), range(-2, 3), range(-2, 3)):
-        total = min(max(end + beside, -(1 << 23)), (1 << 23) - 1)
+    for end, offset, error in product((-(1 << 23), (1 << 23) - 1), range(-2, 3), range(-2, 3)):
+        total = min(max(end + offset, -(1 << 23)), (1 << 23) - 1)
         python.sum = core.law.sum = total
 
         assert core.run(0, 2000, 2000 + error) == python.run(0, 2000, 2000 + error)

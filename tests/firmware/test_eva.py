@@ -27,6 +27,6 @@ def test_no_other_alarm_is_found(tmp_path: Path) -> None:
     if shutil.which("frama-c") is None or shutil.which("make") is None:
         pytest.skip("frama-c (Debian: frama-c-base, 860 MB) or make is not installed")
     command = ["make", "-s", "-C", str(SOURCES), f"OUT={tmp_path}", "eva"]
-    found = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
 
-    assert found == [f"{entry} {alarms}" for entry, alarms, _ in RECORDED]
+    assert lines == [f"{entry} {alarms}" for entry, alarms, _ in RECORDED]

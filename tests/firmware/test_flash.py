@@ -45,25 +45,25 @@ class Flash:
         self.install()
         monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
 
-    def install(self, *, code: int = 0, said: str = "") -> None:
+    def install(self, *, code: int = 0, message: str = "") -> None:
         program = self.folder / "avrdude"
         program.write_text(
             f'#!/bin/sh\necho "$@" > {self.folder}/called\nfor word; do :; done\nimage="${{word#flash:w:}}"\n'
-            f'cp "${{image%:i}}" {self.folder}/image.hex\necho "{said}" >&2\nexit {code}\n'
+            f'cp "${{image%:i}}" {self.folder}/image.hex\necho "{message}" >&2\nexit {code}\n'
         )
         program.chmod(0o755)
 
     @property
     def called(self) -> list[str] | None:
         """What avrdude was called with."""
-        kept = self.folder / "called"
-        return kept.read_text().split() if kept.exists() else None
+        call_file = self.folder / "called"
+        return call_file.read_text().split() if call_file.exists() else None
 
     def __call__(self, *words: str) -> tuple[int, str, str]:
         """Exit code, stdout, stderr."""
         code = board51.main(["flash", "--board", "magnetoshield", *words])
-        said = self._capsys.readouterr()
-        return code, said.out, said.err
+        captured = self._capsys.readouterr()
+        return code, captured.out, captured.err
 
 
 @pytest.fixture
@@ -101,19 +101,19 @@ def test_a_board_that_is_silent_while_it_starts_is_waited_for(monkeypatch: pytes
     with Emulator(tcp=False) as emulator:
         emulator.inject("stall=0.7:tx")  # longer than the time between two calls
 
-        said = flashed.query_board(emulator.urls[0], 115200, b"emulated")
+        answer = flashed.query_board(emulator.urls[0], 115200, b"emulated")
 
-    assert said.startswith("written and verified; build emulated answers")
+    assert answer.startswith("written and verified; build emulated answers")
 
 
 @pytest.mark.parametrize(
-    ("make", "effects", "said"),
+    ("make", "effects", "expected"),
     [(AvrBoard, {"current-sensor-offset": 0.01}, "THE COIL MAY BE ON"), (Firmware, {}, "says build magneto, not")],
 )
 def test_a_board_that_answers_something_else_is_an_error(
     make: type[AvrBoard] | type[Firmware],
     effects: dict[str, float],
-    said: str,
+    expected: str,
     flash: Flash,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -123,13 +123,13 @@ def test_a_board_that_answers_something_else_is_an_error(
         code, out, err = flash("--port", emulator.urls[0])
 
     assert code == ServiceError.exit_code
-    assert said in err
+    assert expected in err
     assert "the coil is off" not in out + err
 
 
 def test_what_avrdude_says_is_passed_on(flash: Flash, port: str) -> None:
     skip_without_avr()
-    flash.install(code=1, said="avrdude: stk500_recv(): not in sync: resp=0x00")
+    flash.install(code=1, message="avrdude: stk500_recv(): not in sync: resp=0x00")
 
     code, _, err = flash("--port", port)
 
@@ -143,11 +143,11 @@ def test_a_dry_run_touches_no_port_and_prints_the_command(flash: Flash) -> None:
 
     code, out, _ = flash("--port", "/dev/ttyNobody", "--dry-run", "--json")
 
-    told = json.loads(out)
-    assert (code, told["command"][9], told["command"][0]) == (0, "/dev/ttyNobody", "avrdude")
-    assert 10_000 < told["bytes"] < told["of"]
+    report = json.loads(out)
+    assert (code, report["command"][9], report["command"][0]) == (0, "/dev/ttyNobody", "avrdude")
+    assert 10_000 < report["bytes"] < report["of"]
     assert flash.called is None
-    image = Path(told["command"][-1].removeprefix("flash:w:").removesuffix(":i"))
+    image = Path(report["command"][-1].removeprefix("flash:w:").removesuffix(":i"))
     assert image.read_text().startswith(":1000")  # so the command can be given by hand
 
 
@@ -163,7 +163,7 @@ def test_the_image_can_be_had_for_another_programmer(flash: Flash) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         ([], "No port is given"),
         (["--port", "/dev/ttyNobody"], "There is no /dev/ttyNobody"),
@@ -173,13 +173,13 @@ def test_the_image_can_be_had_for_another_programmer(flash: Flash) -> None:
         (["--dry-run", "--baud", "7"], "out of range"),
     ],
 )
-def test_what_cannot_be_done_is_said_in_a_line(words: list[str], said: str, flash: Flash) -> None:
+def test_what_cannot_be_done_is_said_in_a_line(words: list[str], expected: str, flash: Flash) -> None:
     skip_without_avr()
 
     code, _, err = flash(*words)
 
     assert code == 2
-    assert said in err
+    assert expected in err
     assert err.count("\n") == 1
     assert flash.called is None
 

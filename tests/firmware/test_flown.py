@@ -63,9 +63,9 @@ TARGETS = {
 
 @pytest.fixture(params=TARGETS)
 def target(request: pytest.FixtureRequest) -> Target:
-    one = TARGETS[request.param]
-    one.skip()
-    return one
+    selected = TARGETS[request.param]
+    selected.skip()
+    return selected
 
 
 def test_it_lifts_the_ball_through_the_gateway_and_loses_nothing(target: Target, tmp_path: Path) -> None:
@@ -84,8 +84,8 @@ def test_it_lifts_the_ball_through_the_gateway_and_loses_nothing(target: Target,
         capture = pb.Capture(u_from_v=0.0, u_to_v=2.0, duration_s=target.samples * target.sample_s, pre_s=4e-3)
         assert bus.command("c", capture=capture).accepted
         (record,) = wait_for(lambda: bus.messages["rig/capture"], "capture")
-        seen = len(bus.messages["rig/status"])
-        wait_for(lambda: len(bus.messages["rig/status"]) > seen, "a status after all that")
+        status_count = len(bus.messages["rig/status"])
+        wait_for(lambda: len(bus.messages["rig/status"]) > status_count, "a status after all that")
         status = bus.messages["rig/status"][-1]
 
     assert (far.accepted, far.reason) == (False, "out-of-range")
@@ -123,9 +123,9 @@ def emulate(*words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 def test_the_command_flies_several_boards_of_it(target: Target) -> None:
-    done = emulate(*target.words, "--boards", "2", "--duration", "0.4", "--json")
+    process = emulate(*target.words, "--boards", "2", "--duration", "0.4", "--json")
 
-    counts = [json.loads(line)["counts"] for line in done.stdout.splitlines() if "counts" in line]
+    counts = [json.loads(line)["counts"] for line in process.stdout.splitlines() if "counts" in line]
     # A frame of 15 bytes in each tick but those of the start, and the event of the reset: no host has been there for
     # 0.4 s, less than the time-out.
     assert len(counts) == 2
@@ -164,12 +164,14 @@ def test_its_campaign_says_that_the_loop_computes_before_it_acts(
     assert code == 0
     assert standings(summary(capsys))["amplifier-steps"] == "recorded"
     captures = [r.message for r in read(tmp_path / "c" / "amplifier-steps.mcap", topics=["capture"])]
-    board51.main(["diagnose", str(told_its_plane(tmp_path / "c")), "--quick", "--out", str(tmp_path / "d"), "--quiet"])
-    found = json.loads((tmp_path / "d" / "diagnosis.json").read_text(encoding="utf-8"))
+    board51.main(["diagnose", str(with_true_plane(tmp_path / "c")), "--quick", "--out", str(tmp_path / "d"), "--quiet"])
+    diagnosis = json.loads((tmp_path / "d" / "diagnosis.json").read_text(encoding="utf-8"))
 
     assert parameters.capture_s == pytest.approx(240 * 80e-6)
-    assert {(len(one.i_c_a), one.step_index) for one in captures if isinstance(one, pb.CaptureRecord)} == {(240, 50)}
-    (cause,) = found["causes"]
+    assert {
+        (len(capture.i_c_a), capture.step_index) for capture in captures if isinstance(capture, pb.CaptureRecord)
+    } == {(240, 50)}
+    (cause,) = diagnosis["causes"]
     assert {cause["name"], *cause["indistinguishable_from"]} == {"actuation-delay", "sampling-delay"}
     assert cause["parameters"]["delay_s"]["value"] == pytest.approx(0.26e-3, abs=0.04e-3)
     assert cause["parameters"]["in_captures"]["value"] < 0.15
@@ -178,11 +180,11 @@ def test_its_campaign_says_that_the_loop_computes_before_it_acts(
     assert model.parameters["b"].value == pytest.approx(CE152.drag_n_s_m, rel=0.15)
 
 
-def told_its_plane(campaign: Path) -> Path:
+def with_true_plane(campaign: Path) -> Path:
     """The campaign with the true plane of the coil, which its plant has as published."""
     file = campaign / "campaign.toml"
     plane = CE152.travel_m + CE152.coil_plane_above_stop_m
-    told = re.sub(r"(?m)^x_max_m = .*$", f"x_max_m = {plane}", file.read_text(encoding="utf-8"))
-    assert str(plane) in told
-    file.write_text(told, encoding="utf-8")
+    text = re.sub(r"(?m)^x_max_m = .*$", f"x_max_m = {plane}", file.read_text(encoding="utf-8"))
+    assert str(plane) in text
+    file.write_text(text, encoding="utf-8")
     return campaign

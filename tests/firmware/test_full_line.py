@@ -21,9 +21,9 @@ from tests.harness.firmware.full_line import Fate, fill_line
 from tests.harness.firmware.mcs51_bench import skip_without_sdcc
 from tests.harness.gateway.board_host import Bench
 
-MOST_OF_A_TICK = 0.95  # cycles awake; moves with when in a tick the frames end, and that with the length of the boot
-MOST_OF_A_TURN = 0.8  # of the main loop
-MOST_DELAY = 0.05  # of the first conversion of a tick
+MAX_TICK_SHARE = 0.95  # cycles awake; moves with when in a tick the frames end, and that with the length of the boot
+MAX_TURN_SHARE = 0.8  # of the main loop
+MAX_DELAY = 0.05  # of the first conversion of a tick
 CASES = [(name, fields) for name, fields in COMMANDS if name != "CAPTURE"]
 IDS = [f"{name}-{fields.get('shape', '')}".strip("-") for name, fields in CASES]
 
@@ -64,23 +64,23 @@ def test_the_8051_keeps_its_ticks(name: str, fields: dict[str, Value]) -> None:
     host.run(40)
     host.hello()
     if name == "READ_CAPTURE":
-        host.ask("SET_MODE", mode=1)
-        host.ask("CAPTURE", u_from=300, u_to=1700, pre=40, count=240)
+        host.request("SET_MODE", mode=1)
+        host.request("CAPTURE", u_from=300, u_to=1700, pre=40, count=240)
         host.until(EventCode.CAPTURE_DONE)
     else:
-        host.ask("SET_MODE", mode=2)
+        host.request("SET_MODE", mode=2)
     host.run(60)
     plant.begun.clear()
     board.chip.longest_turn = 0
 
     fate = fill_line(host, name, fields)
 
-    turn, late = board.chip.longest_turn / TICK_CYCLES, plant.latest(TICK_CYCLES)
-    print(f"| {name} {fields.get('shape', '')} | {100 * turn:.0f} % | {100 * late:.1f} % | {fate} |")
+    turn, delay = board.chip.longest_turn / TICK_CYCLES, plant.latest(TICK_CYCLES)
+    print(f"| {name} {fields.get('shape', '')} | {100 * turn:.0f} % | {100 * delay:.1f} % | {fate} |")
     check(fate, name)
     assert board.chip.lost_bytes == 0
-    assert turn < MOST_OF_A_TURN
-    assert late < MOST_DELAY
+    assert turn < MAX_TURN_SHARE
+    assert delay < MAX_DELAY
 
 
 @pytest.mark.parametrize("capture", [False, True], ids=["", "capture"])
@@ -93,9 +93,9 @@ def test_the_avr_keeps_its_ticks(name: str, fields: dict[str, Value], *, capture
     host = AvrHost(board)
     host.run(5)
     host.hello()
-    host.ask("SET_MODE", mode=1 if capture else 2)
+    host.request("SET_MODE", mode=1 if capture else 2)
     if capture:
-        host.ask("CAPTURE", u_from=300, u_to=1700, pre=50, count=200)
+        host.request("CAPTURE", u_from=300, u_to=1700, pre=50, count=200)
     host.run(2)
     begun = len(host.cycles)
     plant.begun.clear()
@@ -103,15 +103,17 @@ def test_the_avr_keeps_its_ticks(name: str, fields: dict[str, Value], *, capture
     fate = fill_line(host, name, fields, ticks=30 if capture else 150)
 
     share = max(host.cycles[begun:]) / CYCLES_PER_TICK
-    late = plant.latest(CYCLES_PER_TICK)
-    print(f"| {name} {fields.get('shape', '')} {'in a capture' * capture} | {100 * share:.0f} % | {100 * late:.1f} % |")
+    delay = plant.latest(CYCLES_PER_TICK)
+    print(
+        f"| {name} {fields.get('shape', '')} {'in a capture' * capture} | {100 * share:.0f} % | {100 * delay:.1f} % |"
+    )
     if capture:
         assert fate.sent == fate.answered + fate.counted, fate
         assert fate.overruns == 0
     else:
         check(fate, name)
-        assert late < MOST_DELAY
-    assert share < MOST_OF_A_TICK
+        assert delay < MAX_DELAY
+    assert share < MAX_TICK_SHARE
 
 
 @pytest.mark.slow
@@ -126,7 +128,7 @@ def test_the_avr_keeps_its_ticks_at_250000_where_bytes_come_faster_than_it_can_l
     host = AvrHost(board)
     host.run(5)
     host.hello()
-    host.ask("SET_MODE", mode=2)
+    host.request("SET_MODE", mode=2)
     plant.begun.clear()
 
     fate = fill_line(host, name, fields, baud=250000)

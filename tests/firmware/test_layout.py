@@ -32,14 +32,14 @@ def test_the_compiler_names_what_does_not_hold(option: str, file: str, condition
         pytest.skip("gcc is not installed")
     source = SOURCES / "core" / f"{file}.c"
 
-    done = subprocess.run(
+    process = subprocess.run(
         [gcc, *flags("POSIX_FLAGS"), f"-D{option}", "-fsyntax-only", str(source)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
 
-    assert done.returncode != 0
-    assert condition in done.stderr
-    assert done.stderr.count("error:") == 1
+    assert process.returncode != 0
+    assert condition in process.stderr
+    assert process.stderr.count("error:") == 1
 
 
 def test_the_linker_keeps_room_for_the_stack(tmp_path: Path) -> None:

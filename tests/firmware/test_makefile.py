@@ -28,9 +28,9 @@ def make(folder: Path, *words: str) -> str:
         pytest.skip("make is not installed")
     build = build_of_sources().decode().rstrip()
     command = ["make", "-s", "-C", str(SOURCES), f"OUT={folder}", f"BUILD={build}", *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+    return process.stdout
 
 
 @pytest.mark.parametrize(
@@ -48,21 +48,21 @@ def test_an_image_by_make_is_that_by_python(skip: Callable[[], None], goal: str,
 
     if goal == "avr":
         hex_of(tmp_path / "ours.hex", profile=f"{name}.h" if name == "magnetoshield" else "")
-        ours = code_of((tmp_path / "ours.hex").read_text(encoding="ascii"))
+        expected = code_of((tmp_path / "ours.hex").read_text(encoding="ascii"))
     else:
         build_image(tmp_path / "ours.json")
-        ours = bytes.fromhex(json.loads((tmp_path / "ours.json").read_text(encoding="utf-8"))["code"])
+        expected = bytes.fromhex(json.loads((tmp_path / "ours.json").read_text(encoding="utf-8"))["code"])
 
-    assert made == ours
+    assert made == expected
 
 
 def test_the_library_builds_and_the_sanitizers_find_nothing(tmp_path: Path) -> None:
     skip_without_compiler()
 
-    said = make(tmp_path, "posix", "sanitize")
+    output = make(tmp_path, "posix", "sanitize")
 
     assert (tmp_path / "firmware.so").exists()
-    ticks = [int(number) for number in re.findall(r"(\d+)", said)]
+    ticks = [int(number) for number in re.findall(r"(\d+)", output)]
     assert sum(ticks) == 200_000
     assert min(ticks) > 2_000  # in each mode
 
@@ -70,7 +70,7 @@ def test_the_library_builds_and_the_sanitizers_find_nothing(tmp_path: Path) -> N
 def test_no_flag_stands_in_python() -> None:
     """Of those that decide what a chip computes and has room for."""
     telling = {flag for flag in flags("AVR_FLAGS", "MCS51_FLAGS", "AVR_CONFIG", "MCS51_CONFIG") if len(flag) > 6}
-    found = {
+    occurrences = {
         (path.name, flag)
         for folder in PRODUCT
         for path in folder.rglob("*.py")
@@ -78,4 +78,4 @@ def test_no_flag_stands_in_python() -> None:
         if flag in path.read_text(encoding="utf-8")
     }
 
-    assert found == set()
+    assert occurrences == set()

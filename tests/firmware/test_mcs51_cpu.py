@@ -44,7 +44,7 @@ BRANCHES = {
     *(row << 4 for row in range(1, 8)),
 }
 BRANCHES |= {0xB0 | column for column in range(4, 16)} | {0xD5, *range(0xD8, 0xE0)}
-MOVX_BY_REGISTER = {0xE2, 0xE3, 0xF2, 0xF3}
+MOVX_VIA_REGISTER = {0xE2, 0xE3, 0xF2, 0xF3}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,7 @@ def test_the_comparison_would_tell(external: bytes) -> None:
     case = a_case(chance, [0x24], 1)
     other = Case(code=b"\x94" + case.code[1:], ram=case.ram, registers=case.registers, steps=1)
 
-    assert in_ucsim([case], external) != here([other], external)
+    assert in_ucsim([case], external) != in_emulator([other], external)
 
 
 def a_case(chance: random.Random, opcodes: Sequence[int], steps: int) -> Case:
@@ -149,11 +149,11 @@ def a_bit(chance: random.Random) -> int:
 
 
 def differences(cases: list[Case], external: bytes) -> list[tuple[str, State, State]]:
-    pairs = zip(cases, in_ucsim(cases, external), here(cases, external), strict=True)
-    return [(case.code.hex(), theirs, ours) for case, theirs, ours in pairs if theirs != ours][:3]
+    pairs = zip(cases, in_ucsim(cases, external), in_emulator(cases, external), strict=True)
+    return [(case.code.hex(), theirs, emulated) for case, theirs, emulated in pairs if theirs != emulated][:3]
 
 
-def here(cases: Iterable[Case], external: bytes) -> list[State]:
+def in_emulator(cases: Iterable[Case], external: bytes) -> list[State]:
     library, chip, states = load(simulator()), Chip(), []
     chip.cpu.slow = 1
     library.chip_power_on(chip)
@@ -206,10 +206,10 @@ def in_ucsim(cases: Sequence[Case], external: bytes) -> list[State]:
         script.write("\n".join([*lines, "quit", ""]))
         script.flush()
         command = ["s51", "-q", "-t", "8052", "-C", script.name]
-        done = subprocess.run(
+        process = subprocess.run(
             command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, timeout=HANG_S
         )
-    blocks = done.stdout.split("CPU state=")[1:]  # one for each `state`, with what is printed until the next
+    blocks = process.stdout.split("CPU state=")[1:]  # one for each `state`, with what is printed until the next
     return [parse(after, clocks(before)) for before, after in zip(blocks[::2], blocks[1::2], strict=True)]
 
 

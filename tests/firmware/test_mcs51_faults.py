@@ -25,8 +25,8 @@ def flying(plant: EmulatedPlant | Bench | None = None, *, eeprom: bytes | None =
     host = ChipHost(Mcs51Board(EmulatedPlant(seed=2) if plant is None else plant, eeprom=eeprom))
     host.run(20)
     host.hello()
-    host.ask("SET_HOST_LOSS", policy=0, timeout=60000)
-    host.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP))
+    host.request("SET_HOST_LOSS", policy=0, timeout=60000)
+    host.request("SET_MODE", mode=int(Mode.CLOSED_LOOP))
     host.run(200)
     assert host.board.mode == Mode.CLOSED_LOOP
     return host
@@ -68,13 +68,13 @@ def test_stop_acts_before_the_next_tick() -> None:
 
 def test_a_capture_shows_the_step_at_its_sample() -> None:
     host = flying()
-    host.ask("SET_MODE", mode=int(Mode.IDLE))
+    host.request("SET_MODE", mode=int(Mode.IDLE))
     host.run(200)
-    host.ask("CAPTURE", u_from=0, u_to=1700, pre=20, count=200)
+    host.request("CAPTURE", u_from=0, u_to=1700, pre=20, count=200)
     host.until(EventCode.CAPTURE_DONE)
     samples: list[int] = []
     for index in range(0, 224, 32):
-        packed = host.ask("READ_CAPTURE", index=index).bytes("samples")
+        packed = host.request("READ_CAPTURE", index=index).bytes("samples")
         samples += [count for k in range(0, 48, 3) for count in unpack_pair(packed[k : k + 3])]
 
     assert max(samples[:21]) < 20
@@ -97,7 +97,7 @@ def test_a_reset_by_its_pin_is_no_fault_of_the_firmware() -> None:
 def test_a_dip_of_the_supply_switches_off_waits_and_is_no_fault_of_the_firmware() -> None:
     host = flying()
     host.board.chip.low_supply = True
-    ticks = host.ticks_until_off(at_most=2)
+    ticks = host.ticks_until_off(max_ticks=2)
     states = len(host.states)
     host.run(100)
     during = len(host.states) - states
@@ -116,7 +116,7 @@ def test_the_watchdog_and_a_command_are_told_from_power_and_from_each_other() ->
     watchdog = host.until(EventCode.RESET_WATCHDOG)
     host.run(20)
     host.hello()
-    host.ask("RESET")
+    host.request("RESET")
     commanded = host.until(EventCode.RESET_COMMANDED)
     xram = host.board.chip.cpu.xram
     xram[0x7FA] ^= 0x40  # of the count, which its complement then does not fit

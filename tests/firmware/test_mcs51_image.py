@@ -23,7 +23,7 @@ from tests.harness.firmware.mcs51_bench import skip_without_sdcc
 from tests.harness.gateway.board_host import Bench, frame
 from tests.harness.protocol.port import take_output
 
-CALLED_BY_THE_INTERRUPT = {
+INTERRUPT_FUNCTIONS = {
     "b51_capture_interrupt",
     "store",
     "convert",
@@ -178,7 +178,7 @@ def test_it_fits_the_part_and_leaves_stack() -> None:
 def test_what_the_interrupt_calls_keeps_nothing_at_fixed_addresses(tmp_path: Path) -> None:
     """Else it would change what the main loop is in the middle of: sdcc gives locals and arguments fixed places."""
     calls: dict[str, set[str]] = {}
-    kept: dict[str, list[str]] = {}
+    static: dict[str, list[str]] = {}
     for source in image_sources():
         out = tmp_path / f"{source.stem}.rel"
         command = [str(shutil.which("sdcc")), *flags("MCS51_FLAGS", "MCS51_CONFIG"), "-c", str(source), "-o", str(out)]
@@ -188,17 +188,17 @@ def test_what_the_interrupt_calls_keeps_nothing_at_fixed_addresses(tmp_path: Pat
             calls[name] = set(re.findall(r"l(?:call|jmp)\t_(\w+)", code))
         data = text.partition(".area DSEG")[2].partition(".area HOME")[0]
         for variable in re.findall(r"^_(\w+?):+\n\t\.ds", data, re.M):
-            kept.setdefault(source.stem, []).append(variable)
+            static.setdefault(source.stem, []).append(variable)
     reached: set[str] = set()
     todo = ["b51_on_time"]
     while todo:
         name = todo.pop()
         todo += calls.get(name, set()) - reached
         reached |= calls.get(name, set())
-    fixed = [v for names in kept.values() for v in names for function in reached if v.startswith(f"{function}_")]
+    fixed = [v for names in static.values() for v in names for function in reached if v.startswith(f"{function}_")]
 
-    assert reached == CALLED_BY_THE_INTERRUPT  # and no routine of the compiler's
-    assert any(v.startswith("b51_scaled_product_") for v in kept["arithmetic"])  # the search does find such variables
+    assert reached == INTERRUPT_FUNCTIONS  # and no routine of the compiler's
+    assert any(v.startswith("b51_scaled_product_") for v in static["arithmetic"])  # the search does find such variables
     assert fixed == []
 
 
@@ -211,7 +211,7 @@ def test_without_its_data_memory_it_is_the_emulated_board_and_with_a_bit_changed
         bus = ChipHost(Mcs51Board(Bench(), board_id=51, eeprom=eeprom))
         bus.run(20)
         bus.hello()
-        bus.ask("GET_PARAMETERS")
+        bus.request("GET_PARAMETERS")
         identity, parameters = (m for m in bus.messages if m.name in ("IDENTITY", "PARAMETERS"))
         assert identity.int("board_id") == (51 if eeprom is None else 0)
         answers.append(
@@ -222,14 +222,14 @@ def test_without_its_data_memory_it_is_the_emulated_board_and_with_a_bit_changed
 
 
 def test_the_emulated_board_in_program_memory_is_that_of_the_emulator() -> None:
-    here = NativeFirmware(Bench())
-    here.feed(frame("HELLO", id=1, session=1, version_min=1, version_max=1) + frame("GET_PARAMETERS", id=2))
-    here.tick()
-    expected = [e for e in StreamDecoder().feed(take_output(here)) if isinstance(e, Message)]
+    native = NativeFirmware(Bench())
+    native.feed(frame("HELLO", id=1, session=1, version_min=1, version_max=1) + frame("GET_PARAMETERS", id=2))
+    native.tick()
+    expected = [e for e in StreamDecoder().feed(take_output(native)) if isinstance(e, Message)]
     bus = ChipHost(Mcs51Board(Bench(), eeprom=b""))
     bus.run(20)
     bus.hello()
-    bus.ask("GET_PARAMETERS")
+    bus.request("GET_PARAMETERS")
 
     assert [m for m in bus.messages if m.name == "PARAMETERS"] == [m for m in expected if m.name == "PARAMETERS"]
 

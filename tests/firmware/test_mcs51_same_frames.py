@@ -39,26 +39,26 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def both(seed: int, ticks: int, library: Path) -> tuple[Sent, Sent, Mcs51Board]:
     script = commands(seed, ticks)
-    here, there = Sent(), Sent()
-    board = play_to_chip(Readings(seed, ticks + 10, first_look_us()), there, script, ticks)
-    play_to_core(NativeFirmware(Readings(seed, ticks + 10, 2000), path=library), here, script, ticks)
-    return here, there, board
+    core_output, chip_output = Sent(), Sent()
+    board = play_to_chip(Readings(seed, ticks + 10, first_look_us()), chip_output, script, ticks)
+    play_to_core(NativeFirmware(Readings(seed, ticks + 10, 2000), path=library), core_output, script, ticks)
+    return core_output, chip_output, board
 
 
-def compared(here: Sent, there: Sent) -> dict[str, tuple[int, int]]:
+def compared(core_output: Sent, chip_output: Sent) -> dict[str, tuple[int, int]]:
     """How many frames of each queue there are, and how many of them are the same before the first that is not."""
     counts = {}
-    for name, frames in there.frames.items():
-        pairs = list(zip(frames, here.frames[name], strict=False))
+    for name, frames in chip_output.frames.items():
+        pairs = list(zip(frames, core_output.frames[name], strict=False))
         counts[name] = (len(pairs), next((n for n, (a, b) in enumerate(pairs) if a != b), len(pairs)))
     return counts
 
 
 @pytest.mark.slow
 def test_six_seconds_of_anything_give_the_same_frames(library: Path) -> None:
-    here, there, board = both(1, TICKS, library)
+    core_output, chip_output, board = both(1, TICKS, library)
 
-    counts = compared(here, there)
+    counts = compared(core_output, chip_output)
     assert all(same == pairs for pairs, same in counts.values()), counts
     assert counts["STATE"][0] > 0.5 * TICKS
     assert counts["answers"][0] >= TICKS // 12 - 4
@@ -70,11 +70,11 @@ def test_six_seconds_of_anything_give_the_same_frames(library: Path) -> None:
 @pytest.mark.parametrize("seed", [3, 6, *(pytest.param(n, marks=pytest.mark.sample) for n in (4, 5, 7, 8, 9, 10))])
 def test_a_minute_of_anything_gives_the_same_frames(seed: int, library: Path) -> None:
     """3 and 6 reach every branch of the core that all of them reach (gcov)."""
-    here, there, _ = both(seed, 30_000, library)
+    core_output, chip_output, _ = both(seed, 30_000, library)
 
-    counts = compared(here, there)
+    counts = compared(core_output, chip_output)
     assert all(same == pairs for pairs, same in counts.values()), counts
-    answers = {body[0] for body in there.frames["answers"]}
+    answers = {body[0] for body in chip_output.frames["answers"]}
     assert answers == {row.type for row in ROWS if not row.to_board} - {
         ROW_OF_NAME[name].type
         for name in (

@@ -23,10 +23,10 @@ def test_each_deviation_has_its_row() -> None:
 
     assert len(recorded) > 100
     assert all(len(reason) > 20 for *_, reason in rows)
-    assert found() == recorded
+    assert count_deviations() == recorded
 
 
-def found() -> dict[tuple[str, str], int]:
+def count_deviations() -> dict[tuple[str, str], int]:
     """Return how many lines of a file deviate from a rule."""
     if shutil.which("cppcheck") is None or shutil.which("make") is None:
         pytest.skip("cppcheck or make is not installed")

@@ -18,7 +18,7 @@ FULL_A, TOP_M = 5.0, 1.0
 
 def lose_host(policy: int) -> Action:
     def act(host: Host, bench: Bench) -> None:
-        host.ask("SET_HOST_LOSS", policy=policy, timeout=50)
+        host.request("SET_HOST_LOSS", policy=policy, timeout=50)
         host.run(30, alive=False)
 
     return act
@@ -33,7 +33,7 @@ def read(*, i_a: float | None = None, x_m: float | None = None, ticks: int) -> A
 
 
 def set_mode(mode: Mode) -> Action:
-    return lambda host, bench: host.ask("SET_MODE", mode=mode)
+    return lambda host, bench: host.request("SET_MODE", mode=mode)
 
 
 def fail_writes(host: Host, bench: Bench) -> None:
@@ -45,7 +45,7 @@ def break_stack(host: Host, bench: Bench) -> None:
     host.firmware.break_stack()
     host.run(1)
     assert host.details(EventCode.STACK_FAULT) == [0]
-    host.ask("SET_MODE", mode=Mode.CLOSED_LOOP)  # no command ends it
+    host.request("SET_MODE", mode=Mode.CLOSED_LOOP)  # no command ends it
     host.run(1)
     assert host.details(EventCode.STACK_FAULT) == [0, 0]
 
@@ -57,7 +57,7 @@ def reset(host: Host, bench: Bench) -> None:
 
 ACTIONS: dict[str, Action] = {
     **{f"SET_MODE {name}": set_mode(mode) for name, mode in MODES.items()},
-    "STOP": lambda host, bench: host.ask("STOP"),
+    "STOP": lambda host, bench: host.request("STOP"),
     "host lost, policy keep": lose_host(0),
     "host lost, policy coil off": lose_host(1),
     "host lost, policy hold": lose_host(2),
@@ -83,8 +83,8 @@ def test_the_cell_says_what_the_board_does(row: Row, before: Mode, kind: str) ->
         skip_without_compiler()
     bench = Bench()
     host = Host(bench, board=FIRMWARES[kind](bench))
-    host.ask("SET_HOST_LOSS", policy=0, timeout=60000)
-    host.ask("SET_MODE", mode=before)
+    host.request("SET_HOST_LOSS", policy=0, timeout=60000)
+    host.request("SET_MODE", mode=before)
 
     ACTIONS[row.event](host, bench)
 

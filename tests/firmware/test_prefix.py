@@ -12,8 +12,8 @@ import pytest
 from gateway.emulator.native.flags import SOURCES, flags
 
 HEADERS = sorted(path for part in ("core", "avr", "mcs51", "posix") for path in SOURCES.glob(f"{part}/*.h"))
-OURS = re.compile(r"b51_|B51_|_")  # what begins with _ belongs to the compiler
-GIVEN = {"main", "F_CPU"}  # by the language and avr-libc
+PREFIX = re.compile(r"b51_|B51_|_")  # what begins with _ belongs to the compiler
+EXTERNAL_NAMES = {"main", "F_CPU"}  # by the language and avr-libc
 TARGETS = {
     "posix": ("gcc", "nm", ("POSIX_FLAGS",)),
     "avr": ("avr-gcc", "avr-nm", ("AVR_FLAGS", "AVR_CONFIG")),
@@ -26,15 +26,15 @@ def test_the_symbols_of_the_objects(target: str, tmp_path: Path) -> None:
     compiler, reader, names = TARGETS[target]
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
-    found: set[str] = set()
+    symbols: set[str] = set()
     for source in [*SOURCES.glob("core/*.c"), *SOURCES.glob(f"{target}/*.c")]:
         out = tmp_path / f"{source.stem}.rel"
         command = [compiler, *flags(*names), "-c", str(source), "-o", str(out)]
         subprocess.run([word for word in command if word != "-shared"], check=True, cwd=tmp_path)
-        found |= _global_symbols(out, reader)
+        symbols |= _global_symbols(out, reader)
 
-    assert {"b51_board", "b51_board_poll", "b51_hal_send"} <= found
-    assert {name for name in found if not OURS.match(name)} <= GIVEN
+    assert {"b51_board", "b51_board_poll", "b51_hal_send"} <= symbols
+    assert {name for name in symbols if not PREFIX.match(name)} <= EXTERNAL_NAMES
 
 
 def _global_symbols(out: Path, reader: str) -> set[str]:
@@ -42,8 +42,8 @@ def _global_symbols(out: Path, reader: str) -> set[str]:
         text = out.read_text(encoding="ascii")
         registers = {f"_{name}" for name in re.findall(r"\b(\w+)\b", _register_names())}
         return {name[1:] for name in re.findall(r"^S (_\w+) Def", text, re.M) if name not in registers}
-    done = subprocess.run([reader, "-g", "--defined-only", str(out)], check=True, capture_output=True, text=True)
-    return {line.split()[2] for line in done.stdout.splitlines()}
+    process = subprocess.run([reader, "-g", "--defined-only", str(out)], check=True, capture_output=True, text=True)
+    return {line.split()[2] for line in process.stdout.splitlines()}
 
 
 def _register_names() -> str:
@@ -62,4 +62,4 @@ def test_the_names_in_a_header(path: Path) -> None:
         names |= {item.split("=")[0].strip() for item in body.split(",")} - {""}
 
     assert names
-    assert {name for name in names if not OURS.match(name)} <= GIVEN
+    assert {name for name in names if not PREFIX.match(name)} <= EXTERNAL_NAMES

@@ -13,7 +13,7 @@ from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.messages import ROWS, EventCode, Reason
-from tests.harness.firmware.random_host import Seen, play
+from tests.harness.firmware.random_host import Traffic, play
 from tests.harness.gateway.board_host import Bench, Host, frame, skip_without_compiler
 from tests.harness.protocol.port import take_output
 
@@ -59,15 +59,17 @@ def test_both_fly_the_emulated_rig_along_the_same_path() -> None:
     outputs: list[bytes] = []
     for make, plant in zip((Firmware, NativeFirmware), plants, strict=True):
         host = Host(plant, board=make(plant))
-        host.ask("SET_MODE", mode=1)
-        host.ask("CAPTURE", u_from=300, u_to=1700, pre=50, count=400)
+        host.request("SET_MODE", mode=1)
+        host.request("CAPTURE", u_from=300, u_to=1700, pre=50, count=400)
         host.run(30)
-        host.ask("READ_CAPTURE", index=32)
-        host.ask("SET_MODE", mode=2)
+        host.request("READ_CAPTURE", index=32)
+        host.request("SET_MODE", mode=2)
         for x_ref in (2034, 2600, 1500):
-            host.ask("SET_REFERENCE", x_ref=x_ref)
+            host.request("SET_REFERENCE", x_ref=x_ref)
             host.run(400)
-        host.ask("EXCITE", shape=4, target=1, amplitude=60, offset=1500, period=7, period_end=1, seed=77, duration=500)
+        host.request(
+            "EXCITE", shape=4, target=1, amplitude=60, offset=1500, period=7, period_end=1, seed=77, duration=500
+        )
         host.run(600)
         outputs.append(repr((host.states, host.events, host.answers)).encode())
 
@@ -90,9 +92,9 @@ def test_a_block_from_any_sample_on_is_the_same_and_has_nothing_of_an_older_capt
         bench = Ramp()
         host = Host(bench, board=make(bench))
         for size in (60, count):
-            host.ask("CAPTURE", u_from=0, u_to=0, pre=0, count=size)
+            host.request("CAPTURE", u_from=0, u_to=0, pre=0, count=size)
             host.run(20)
-        blocks.append([host.ask("READ_CAPTURE", index=n).bytes("samples") for n in range(count)])
+        blocks.append([host.request("READ_CAPTURE", index=n).bytes("samples") for n in range(count)])
 
     assert blocks[0] == blocks[1]
     assert len(set(blocks[0])) == count
@@ -134,6 +136,6 @@ def test_a_reset_waits_for_the_last_byte_of_its_ack() -> None:
     assert board.next_tick == 0
 
 
-def names(runs: list[Seen]) -> set[str]:
+def names(runs: list[Traffic]) -> set[str]:
     """Every answer, event and reason of the runs."""
     return set().union(*(run.names for run in runs))

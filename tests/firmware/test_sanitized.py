@@ -52,17 +52,17 @@ def run_watched(sanitized: tuple[Path, str], *arguments: str) -> subprocess.Comp
 
 
 def test_a_minute_of_anything_is_defined(sanitized: tuple[Path, str]) -> None:
-    done = run_watched(sanitized, "tests.harness.firmware.random_host", "15000", "21", "22", "23")
+    process = run_watched(sanitized, "tests.harness.firmware.random_host", "15000", "21", "22", "23")
 
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("ticks=15000") == 3
+    assert process.returncode == 0, process.stderr
+    assert process.stdout.count("ticks=15000") == 3
 
 
 def test_a_fuzzed_parser_reads_nothing_beyond_its_buffer(sanitized: tuple[Path, str]) -> None:
-    done = run_watched(sanitized, "tests.harness.firmware.fuzz", "60000", "1", "2")
+    process = run_watched(sanitized, "tests.harness.firmware.fuzz", "60000", "1", "2")
 
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("frames=60000") == 2
+    assert process.returncode == 0, process.stderr
+    assert process.stdout.count("frames=60000") == 2
 
 
 def test_the_watch_would_tell(sanitized: tuple[Path, str], tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_the_watch_would_tell(sanitized: tuple[Path, str], tmp_path: Path) -> No
     subprocess.run([str(compiler()), "-fPIC", "-shared", *OPTIONS, str(source), "-o", str(path)], check=True)
     script = f"import ctypes; ctypes.CDLL({str(path)!r}).broken(4)"
 
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script],
         env=os.environ | {"LD_PRELOAD": sanitized[1], "ASAN_OPTIONS": "detect_leaks=0"},
         capture_output=True,
@@ -81,5 +81,5 @@ def test_the_watch_would_tell(sanitized: tuple[Path, str], tmp_path: Path) -> No
         check=False,
     )
 
-    assert done.returncode != 0
-    assert "out of bounds" in done.stderr
+    assert process.returncode != 0
+    assert "out of bounds" in process.stderr

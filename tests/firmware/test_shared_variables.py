@@ -46,16 +46,16 @@ def both_write(program: Program, roots: set[str]) -> tuple[set[str], set[tuple[s
     main = program.reached({"main"})
     written = {a.variable for a in program.accesses if a.function in interrupt and a.writes}
     touched = [a for a in program.accesses if a.function in main and a.variable in written]
-    bad = {(a.function, a.variable) for a in touched if not a.guarded and (a.size > 1 or a.writes) and not a.alone}
+    bad = {(a.function, a.variable) for a in touched if not a.guarded and (a.size > 1 or a.writes) and not a.is_atomic}
     bad |= {(a.function, a.variable) for a, b in pairwise(touched) if split(a, b) and b.variable in written}
     return {a.variable for a in touched}, {at for at in bad if at[0] not in OF_THE_CAPTURE}
 
 
-def split(one: Access, other: Access) -> bool:
+def split(first: Access, other: Access) -> bool:
     """Whether these are two bytes of a number in `board`, read with an interrupt possible in between."""
-    if one.writes or other.writes or one.function != other.function or one.guarded:
+    if first.writes or other.writes or first.function != other.function or first.guarded:
         return False
-    name, _, at = one.variable.partition("+")
+    name, _, at = first.variable.partition("+")
     return name == "board" and other.variable == f"board+{int(at) + 1}"
 
 
@@ -87,8 +87,8 @@ def host_of(board: ChipBoard) -> ChipHost[ChipBoard]:
 
 def count_ticks(host: ChipHost[ChipBoard]) -> tuple[int, int]:
     """The number of the next tick, and how many were late."""
-    late = host.ask("PING").int("overruns")
-    return host.board.next_tick, late
+    overruns = host.request("PING").int("overruns")
+    return host.board.next_tick, overruns
 
 
 @pytest.mark.parametrize(
@@ -118,14 +118,14 @@ def test_a_tick_that_comes_while_the_8051_takes_one_is_not_lost() -> None:
     board.tick()
     gains: set[int] = set()
     for ahead in range(80):
-        run, late = count_ticks(host)
+        run, overruns = count_ticks(host)
         begun = (chip.cpu.cycles - due) // TICK_CYCLES
         step_to(board, "b51_hal_tick_due")
         latest = due + (chip.cpu.cycles - due) // TICK_CYCLES * TICK_CYCLES
         chip.held_until = latest + 2 * TICK_CYCLES - ahead
         host.run(6)
-        run_then, late_then = count_ticks(host)
-        gains.add(run_then - run + late_then - late - ((chip.cpu.cycles - due) // TICK_CYCLES - begun))
+        run_then, overruns_then = count_ticks(host)
+        gains.add(run_then - run + overruns_then - overruns - ((chip.cpu.cycles - due) // TICK_CYCLES - begun))
 
     # 0: both were due, one was run, the other counted.  1: both were run, and the first ended when the other was due.
     assert gains == {0, 1}

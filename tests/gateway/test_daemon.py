@@ -33,9 +33,9 @@ def test_every_tick_arrives_and_is_logged_the_same(tmp_path: Path) -> None:
     assert gapless(states)
     (log,) = tmp_path.glob("*.mcap")
     logged = [m for m in logged_messages(log, "state") if isinstance(m, pb.State)]
-    by_tick = {m.tick: m for m in logged}
+    state_of_tick = {m.tick: m for m in logged}
     assert gapless(logged)
-    assert all(by_tick[s.tick] == s for s in states)
+    assert all(state_of_tick[s.tick] == s for s in states)
 
 
 def test_batches_hold_every_tick_once_as_it_is_logged(tmp_path: Path) -> None:
@@ -55,9 +55,9 @@ def test_batches_hold_every_tick_once_as_it_is_logged(tmp_path: Path) -> None:
 
     states = [state for batch in batches for state in batch.states]
     (log,) = tmp_path.glob("*.mcap")
-    by_tick = {message.tick: message for message in logged_messages(log, "state")}
+    state_of_tick = {message.tick: message for message in logged_messages(log, "state")}
     assert gapless(states)
-    assert all(by_tick[state.tick] == state for state in states)
+    assert all(state_of_tick[state.tick] == state for state in states)
     assert len(batches) < len(states) / 4
     assert (status.latency_p99_ms, status.publish_dropped) == (0.0, 0)
 
@@ -85,7 +85,7 @@ def test_commands_are_always_answered_and_executed_once(tmp_path: Path) -> None:
         again = bus.command("a", set_reference=pb.SetReference(x_ref_m=3e-3))
         other = bus.command("a", set_reference=pb.SetReference(x_ref_m=2e-3))
         far = bus.command("b", set_reference=pb.SetReference(x_ref_m=9e-3))
-        malformed, nothing, large = bus.ask(b"\xff\xff"), bus.ask(b""), bus.ask(b"\x00" * 10_000)
+        malformed, empty, large = bus.request(b"\xff\xff"), bus.request(b""), bus.request(b"\x00" * 10_000)
         state = wait_for(lambda: next((s for s in bus.states() if s.tick >= first.tick), None), "state")
         stop = bus.command("s", stop=pb.Stop())
         wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
@@ -93,7 +93,7 @@ def test_commands_are_always_answered_and_executed_once(tmp_path: Path) -> None:
     assert (first.accepted, first.refused_by, first.attempts) == (True, "", 1)
     assert again == first
     assert state.x_ref_m == pytest.approx(3e-3, abs=1.5e-6)
-    assert [r.reason for r in (other, far, malformed, nothing, large)] == [
+    assert [r.reason for r in (other, far, malformed, empty, large)] == [
         "id-reused", "out-of-range", "malformed", "bad-id", "oversize",
     ]  # fmt: skip
     assert stop.accepted

@@ -52,10 +52,10 @@ def test_bad_usage_is_one_line_and_exit_code_2(
 
     code = board51.main(["gateway", *arguments, *listen])
 
-    said = capfd.readouterr().err
+    error_output = capfd.readouterr().err
     assert code == 2
-    assert len(said.splitlines()) == 1
-    assert says in said
+    assert len(error_output.splitlines()) == 1
+    assert says in error_output
 
 
 def test_the_printed_configuration_is_one_that_passes_the_check(
@@ -66,9 +66,9 @@ def test_the_printed_configuration_is_one_that_passes_the_check(
 
     assert board51.main(["gateway", "--config", str(tmp_path / "gateway.toml"), "--check"]) == 0
 
-    done = capfd.readouterr()
-    assert done.err == ""
-    assert "rig1 at /dev/ttyUSB0" in done.out
+    captured = capfd.readouterr()
+    assert captured.err == ""
+    assert "rig1 at /dev/ttyUSB0" in captured.out
 
 
 PANICS = """
@@ -89,7 +89,7 @@ def test_a_panic_in_a_thread_of_zenoh_ends_it_in_good_order_to_be_started_again(
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with ScriptedBoard() as board:
         words = ["gateway", "--board", f"rig={board.url}", "--listen", endpoint, "--log-dir", str(tmp_path)]
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", PANICS, str(tmp_path), *words],
             stderr=subprocess.PIPE,
             text=True,
@@ -98,9 +98,9 @@ def test_a_panic_in_a_thread_of_zenoh_ends_it_in_good_order_to_be_started_again(
         )
     (log,) = tmp_path.glob("*.mcap")
 
-    assert done.returncode == 70
-    assert "its process ends" in done.stderr
-    assert "panicked at" not in done.stderr  # a gateway that reads this of a view does not end, too
+    assert process.returncode == 70
+    assert "its process ends" in process.stderr
+    assert "panicked at" not in process.stderr  # a gateway that reads this of a view does not end, too
     assert Scan(log).indexed
 
 
@@ -130,17 +130,17 @@ def test_a_panic_while_zenoh_closes_is_no_failure(service: str, tmp_path: Path) 
     with Emulator(tcp=False) as emulator, running(config := gateway_config(*emulator.urls)):
         endpoint = config.zenoh.listen[0]
         logs = ["--log-dir", str(tmp_path)]
-        own = {
+        options = {
             "gateway": ["--board", "rig=/dev/null", "--listen", f"tcp/127.0.0.1:{free_port()}", *logs],
             "hmi": ["--connect", endpoint, "--listen", f"127.0.0.1:{free_port()}", "--data", str(tmp_path)],
             "opcua": ["--connect", endpoint, "--listen", f"127.0.0.1:{free_port()}"],
         }
-        done = subprocess.run(
-            [sys.executable, "-c", PANICS_AT_THE_END, service, *own[service]],
+        process = subprocess.run(
+            [sys.executable, "-c", PANICS_AT_THE_END, service, *options[service]],
             stderr=subprocess.PIPE, text=True, timeout=HANG_S, check=False,
         )  # fmt: skip
 
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
 
 
 def test_a_terminal_that_closes_ends_it_cleanly(tmp_path: Path) -> None:

@@ -122,22 +122,22 @@ def test_what_subscribers_miss_while_the_router_is_away_is_counted(
         routers[0].kill()
         routers[0].wait()
         wait_for(lambda: [r for r in caplog.records if "No router" in r.message], "the gateway's notice")
-        taken_before = bus.states()[-1].tick
+        last_tick = bus.states()[-1].tick
         board.streaming = True
-        seen = board.tick
-        wait_for(lambda: board.tick > seen + 500, "samples during the outage")
+        start_tick = board.tick
+        wait_for(lambda: board.tick > start_tick + 500, "samples during the outage")
         # The new router subscribes itself: a client of it may come back after the gateway, which it cannot know.
         router = zenoh.Config.from_json5(zenoh_config("router", listen=[endpoint]))
-        late = Bus(stack.enter_context(zenoh.open(router)))
-        back = late.await_event("bus-back")
-        late.await_states(50)
+        new_bus = Bus(stack.enter_context(zenoh.open(router)))
+        back = new_bus.await_event("bus-back")
+        new_bus.await_states(50)
         after = wait_for(
-            lambda: [s for s in late.messages["rig/status"] if s.host_time_ns > back.host_time_ns], "status"
+            lambda: [s for s in new_bus.messages["rig/status"] if s.host_time_ns > back.host_time_ns], "status"
         )[-1]
 
-    ticks = [s.tick for s in late.states()]
-    lost_on_the_line = sum(taken_before < tick <= ticks[-1] for tick in board.not_taken)
-    missing = ticks[-1] - taken_before - len(ticks) - lost_on_the_line
+    ticks = [s.tick for s in new_bus.states()]
+    lost_on_the_line = sum(last_tick < tick <= ticks[-1] for tick in board.dropped_ticks)
+    missing = ticks[-1] - last_tick - len(ticks) - lost_on_the_line
     counted = after.publish_dropped - before.publish_dropped
     assert ticks == sorted(ticks)
     assert (counted > 400) == (queue == 64)

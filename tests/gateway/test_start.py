@@ -32,18 +32,18 @@ def test_one_command_flies_shows_and_ends_everything(tmp_path: Path) -> None:
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | {"TMPDIR": str(tmp_path)},
     )  # fmt: skip
     try:
-        with client(f"tcp/127.0.0.1:{bus}") as heard:
-            wait_for(lambda: len(heard.messages["rig1/twin/state"]) > 10, "the twin beside the board")
+        with client(f"tcp/127.0.0.1:{bus}") as receiver:
+            wait_for(lambda: len(receiver.messages["rig1/twin/state"]) > 10, "the twin beside the board")
         assert process.stdout is not None
         assert process.stdout.readline() == f"control room  http://127.0.0.1:{page}\n"
         children = children_of(process.pid)
         process.send_signal(signal.SIGINT)
-        _, told = process.communicate(timeout=HANG_S)
+        _, error_output = process.communicate(timeout=HANG_S)
     finally:
         process.kill()
 
     assert process.returncode == 0
-    assert told.endswith("everything stopped\n")
+    assert error_output.endswith("everything stopped\n")
     assert len(children) == 3
     assert [pid for pid in children if Path(f"/proc/{pid}").exists()] == []
     assert list(tmp_path.glob("board51-*")) == []  # the pty's folder
@@ -61,9 +61,9 @@ def test_another_emulated_rig_has_its_plant_card_and_its_limits(tmp_path: Path) 
         env=os.environ | {"TMPDIR": str(tmp_path)},
     )
     try:
-        with client(f"tcp/127.0.0.1:{bus}") as heard:
-            card = wait_for(lambda: [c for c in heard.messages["rig1/plant"] if c.board], "card with its board")[-1]
-            board = wait_for(lambda: heard.messages["rig1/parameters"], "parameters")[-1]
+        with client(f"tcp/127.0.0.1:{bus}") as receiver:
+            card = wait_for(lambda: [c for c in receiver.messages["rig1/plant"] if c.board], "card with its board")[-1]
+            board = wait_for(lambda: receiver.messages["rig1/parameters"], "parameters")[-1]
     finally:
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=HANG_S)
@@ -136,7 +136,7 @@ def test_a_port_that_is_absent_or_closed_is_said_in_the_terminal(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "pattern"),
     [
         (["--board", "a", "--board", "b"], r"about 22 MB a minute: [\d.e+]+ h in \S+ GB, then the disk is full"),
         (
@@ -145,22 +145,22 @@ def test_a_port_that_is_absent_or_closed_is_said_in_the_terminal(
         ),
     ],
 )
-def test_it_says_how_much_is_logged_and_for_how_long(words: list[str], said: str, tmp_path: Path) -> None:
+def test_it_says_how_much_is_logged_and_for_how_long(words: list[str], pattern: str, tmp_path: Path) -> None:
     parser = Parser()
     start.configure(parser)
 
-    assert re.fullmatch(said, start._log_size(parser.parse_args([*words, "--log-dir", str(tmp_path)])))
+    assert re.fullmatch(pattern, start._log_size(parser.parse_args([*words, "--log-dir", str(tmp_path)])))
 
 
 def test_a_port_that_is_taken_is_named_before_anything_starts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
         code = board51.main(["start", "--emulated", "--page", f"127.0.0.1:{port}", "--log-dir", str(tmp_path / "logs")])
 
-    said = capsys.readouterr().err
+    error_output = capsys.readouterr().err
     assert code == 2
-    assert re.search(rf"Cannot listen on 127\.0\.0\.1:{port} .*give --page HOST:PORT", said)
-    assert said.count("\n") == 1
+    assert re.search(rf"Cannot listen on 127\.0\.0\.1:{port} .*give --page HOST:PORT", error_output)
+    assert error_output.count("\n") == 1
     assert not (tmp_path / "logs").exists()

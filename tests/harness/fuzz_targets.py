@@ -88,9 +88,9 @@ def unpack(data: bytes) -> Iterator[tuple[str, bytes]]:
 def parsed(data: bytes) -> Iterator[tuple[str, Message]]:
     """Yield those that are messages, as a subscriber takes them."""
     for name, payload in unpack(data):
-        one = parse(_KINDS[name], payload)
-        if one is not None:
-            yield name, one
+        item = parse(_KINDS[name], payload)
+        if item is not None:
+            yield name, item
 
 
 def change_messages(chance: Random, data: bytes) -> bytes:
@@ -114,7 +114,7 @@ def change_messages(chance: Random, data: bytes) -> bytes:
 
 
 def _packed(messages: Iterable[tuple[str, Message]]) -> bytes:
-    return pack((name, one.SerializeToString()) for name, one in messages)
+    return pack((name, item.SerializeToString()) for name, item in messages)
 
 
 def _short() -> list[tuple[str, Message]]:
@@ -172,8 +172,8 @@ def check_finite(value: Any) -> None:
         inner = value.values()
     elif isinstance(value, list | tuple):
         inner = value
-    for one in inner:
-        check_finite(one)
+    for item in inner:
+        check_finite(item)
 
 
 def _change_toml(chance: Random, data: bytes) -> bytes:
@@ -229,7 +229,7 @@ def _driver(_: Path, data: bytes) -> None:
 
 
 def _frames() -> list[bytes]:
-    states = [one.data for _, one in usual_messages() if isinstance(one, pb.RawBytes)][1:9]
+    states = [item.data for _, item in usual_messages() if isinstance(item, pb.RawBytes)][1:9]
     parameters = frame("PARAMETERS", id=2, **parameters_values())
     return [frame("IDENTITY", id=1, tick=90, **identity_values()), parameters, *states]
 
@@ -240,7 +240,7 @@ def _wire_seeds(_: Path) -> Iterator[bytes]:
 
 
 def _driver_seeds(_: Path) -> Iterator[bytes]:
-    bodies = [(cobs_decode(one.strip(b"\0")) or b"")[:-2] for one in _frames()]
+    bodies = [(cobs_decode(frame.strip(b"\0")) or b"")[:-2] for frame in _frames()]
     parts = [bytes([len(body)]) + body for body in bodies]
     yield b"".join(parts)
     yield from parts
@@ -249,42 +249,42 @@ def _driver_seeds(_: Path) -> Iterator[bytes]:
 # ---- the bus
 
 
-def _samples_apart(data: bytes) -> list[Message]:
+def _single_samples(data: bytes) -> list[Message]:
     """Return the messages as a feed takes them: each sample alone."""
-    return [part for name, one in parsed(data) for _, part in parts(name, one)]
+    return [part for name, item in parsed(data) for _, part in parts(name, item)]
 
 
 def _view(_: Path, data: bytes) -> None:
     """What pages, API and Foxglove make of messages."""
-    show(_samples_apart(data), later_s=1.5)
+    show(_single_samples(data), later_s=1.5)
 
 
 def _opcua(_: Path, data: bytes) -> None:
-    serve(_samples_apart(data))
+    serve(_single_samples(data))
 
 
 def _client(_: Path, data: bytes) -> None:
     """What a user's own program gets."""
-    for _name, one in parsed(data):
-        if isinstance(one, pb.State):
+    for _name, item in parsed(data):
+        if isinstance(item, pb.State):
             with suppress(DataError):
-                Sample.of(one)
-        elif isinstance(one, pb.CaptureRecord):
+                Sample.of(item)
+        elif isinstance(item, pb.CaptureRecord):
             with np.errstate(all="ignore"):  # an absurd T_s is passed on
-                Capture.of(one)
+                Capture.of(item)
 
 
 def _mirror(_: Path, data: bytes) -> None:
     """What the twin makes of samples and parameters; an error here ends it."""
     mirror = Mirror(Model.load("ce152"))
-    for _name, one in parsed(data):
-        match one:
+    for _name, item in parsed(data):
+        match item:
             case pb.Parameters():
-                mirror.parameters(one)
+                mirror.parameters(item)
             case pb.State():
-                mirror.handle(one)
+                mirror.handle(item)
             case pb.StateBatch():
-                for state in one.states:
+                for state in item.states:
                     mirror.handle(state)
 
 
@@ -314,13 +314,13 @@ def _command(_: Path, data: bytes) -> None:
     rig = LossyRig(FIRMWARES["python"], seed=0, loss=0.0)
     rig.run(60)
     replies: list[pb.CommandReply] = []
-    rig.ask_bytes(data, replies)
+    rig.send_bytes(data, replies)
     rig.run(200)
     if len(replies) != 1 or replies[0].reason == "internal-error":
         raise FuzzError(f"{replies}")
 
 
-def _change_one(kind: type[Message], chance: Random, data: bytes) -> bytes:
+def _change_field(kind: type[Message], chance: Random, data: bytes) -> bytes:
     valid = parse(kind, data)
     if valid is None or not chance.randrange(4):
         return mutations.binary(chance, data)
@@ -347,12 +347,12 @@ def _log_request_seeds(folder: Path) -> Iterator[bytes]:
 def _usual(_: Path) -> Iterator[bytes]:
     yield _packed(_short())
     names = {topic.message: topic.name for topic in TOPICS}
-    yield _packed((names[type(one)], one) for one in USUAL[-12:] if type(one) in names)
+    yield _packed((names[type(item)], item) for item in USUAL[-12:] if type(item) in names)
 
 
 def _targets() -> dict[str, Target]:
     bus = partial(Target, seeds=_usual, change=change_messages)
-    found = {
+    targets = {
         "wire": Target(seeds=_wire_seeds, change=mutations.binary, run=_wire),
         "driver": Target(seeds=_driver_seeds, change=mutations.binary, run=_driver),
         "bus, views": bus(run=_view),
@@ -360,19 +360,19 @@ def _targets() -> dict[str, Target]:
         "bus, client": bus(run=_client),
         "bus, twin": bus(run=_mirror),
         "bus, command": Target(
-            seeds=lambda _: [one.SerializeToString() for one in COMMANDS],
-            change=partial(_change_one, pb.Command),
+            seeds=lambda _: [item.SerializeToString() for item in COMMANDS],
+            change=partial(_change_field, pb.Command),
             run=_command,
         ),
         "bus, model": Target(seeds=_hand_over_seeds, change=_change_hand_over, run=_hand_over),
         "bus, log request": Target(
-            seeds=_log_request_seeds, change=partial(_change_one, pb.LogRequest), run=_log_request
+            seeds=_log_request_seeds, change=partial(_change_field, pb.LogRequest), run=_log_request
         ),
     }
     for name, reader in READERS.items():
-        found[name] = _of_log(reader) if name.startswith("log") else _of_reader(name, reader)
+        targets[name] = _of_log(reader) if name.startswith("log") else _of_reader(name, reader)
     client = Reader("log.mcap", READERS["log"].make, read_log)
-    return found | {"log, client": _of_log(client)}
+    return targets | {"log, client": _of_log(client)}
 
 
 TARGETS = _targets()

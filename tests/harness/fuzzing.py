@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[2]
 SLOW_S = 5.0
 LARGEST_MB = 1000  # memory that one input may take
-_OURS = ("protocol", "gateway", "twin")
+_SOURCE = ("protocol", "gateway", "twin")
 
 
 class Findings:
@@ -63,14 +63,14 @@ class Findings:
 
 def kind_of(error: BaseException) -> str:
     """Return the class of an error and the innermost line of ours at which it was raised."""
-    place = "?"
+    location = "?"
     at: TracebackType | None = error.__traceback__
     while at is not None:
         file = Path(at.tb_frame.f_code.co_filename)
-        if file.is_relative_to(ROOT) and file.relative_to(ROOT).parts[0] in (*_OURS, "tests"):
-            place = f"{file.relative_to(ROOT)}:{at.tb_lineno}"
+        if file.is_relative_to(ROOT) and file.relative_to(ROOT).parts[0] in (*_SOURCE, "tests"):
+            location = f"{file.relative_to(ROOT)}:{at.tb_lineno}"
         at = at.tb_next
-    return f"{type(error).__name__} at {place}"
+    return f"{type(error).__name__} at {location}"
 
 
 def _peak_mb() -> float:
@@ -82,7 +82,7 @@ def _peak_mb() -> float:
 def _compiled_modules() -> list[str]:
     """Return the modules with kernels of numba, which cannot compile what atheris has instrumented."""
     kernels = re.compile(r"twin\.compiled|import numba|from numba")
-    files = [file for package in _OURS for file in (ROOT / package).rglob("*.py") if kernels.search(file.read_text())]
+    files = [file for package in _SOURCE for file in (ROOT / package).rglob("*.py") if kernels.search(file.read_text())]
     names = [".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for file in files]
     return [*names, "twin.compiled"]
 
@@ -113,9 +113,9 @@ def _fuzz(name: str, target: Target, *, minutes: float, seed: int, out: Path, sc
     def execute(data: bytes) -> None:
         findings.execute(data)
         if time.monotonic() > end_s:
-            took_s, found = time.process_time() - began_s, len(findings.kinds)
-            print(f"{name}: {findings.executions} executions in {took_s:.0f} s, {found} findings", flush=True)
-            os._exit(1 if found else 0)
+            took_s, count = time.process_time() - began_s, len(findings.kinds)
+            print(f"{name}: {findings.executions} executions in {took_s:.0f} s, {count} findings", flush=True)
+            os._exit(1 if count else 0)
 
     options = {
         "seed": seed, "max_len": 1 << 17, "timeout": 120, "rss_limit_mb": 4096, "artifact_prefix": f"{out}/",
@@ -138,7 +138,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("fuzz-out"))
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    with atheris.instrument_imports(include=_OURS, exclude=_compiled_modules()):
+    with atheris.instrument_imports(include=_SOURCE, exclude=_compiled_modules()):
         from tests.harness.fuzz_targets import TARGETS
 
     failed = False

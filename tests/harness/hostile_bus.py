@@ -22,11 +22,11 @@ from tests.harness.hostile_messages import START_NS, usual_messages
 
 EXCITE = pb.Command(id="a", excite=pb.Excite(shape=pb.SHAPE_SAWTOOTH, amplitude=1.0, offset=1.0, duration_s=5.0))
 SHELVE = pb.Command(id="b", acknowledge=pb.Acknowledge(alarm="link-down", shelve_s=9.0))
-SEEN = pb.Acknowledgement(alarm="link-down", who="a", host_time_ns=START_NS, shelve_s=10.0)
+ACKNOWLEDGED = pb.Acknowledgement(alarm="link-down", who="a", host_time_ns=START_NS, shelve_s=10.0)
 DOWN = pb.Alarm(name="link-down", active=True, text="x", host_time_ns=START_NS)
 USUAL: list[Message] = [
-    *(one for topic, one in usual_messages() if topic != "raw"),
-    pb.Alarms(host_time_ns=START_NS, active=[DOWN], acknowledged=[SEEN]),
+    *(message for topic, message in usual_messages() if topic != "raw"),
+    pb.Alarms(host_time_ns=START_NS, active=[DOWN], acknowledged=[ACKNOWLEDGED]),
     pb.TwinAlarms(host_time_ns=START_NS, active=[pb.Alarm(name="divergence-x", active=True, host_time_ns=START_NS)]),
     pb.TwinModel(
         host_time_ns=START_NS, session=1, name="n", model_json='{"plant": {"travel_m": 5e-3}}', sha256="ab", who="w"
@@ -46,13 +46,13 @@ def show(messages: Iterable[Message], *, later_s: float) -> None:
     feed = BoardFeed("rig", lock := threading.Lock(), lambda: now_s)
     tap = feed.tap(pb.State, width_s=1 / 30)
     derived = Derived()
-    for one in messages:
-        for _, panel in derived.take("board51", "rig", one, stamp_ns(one) or START_NS):
+    for message in messages:
+        for _, panel in derived.take("board51", "rig", message, stamp_ns(message) or START_NS):
             panel.encode()
-        _describe(one)
-        if not isinstance(one, pb.Status | pb.Parameters) or is_plausible(one):
+        _describe(message)
+        if not isinstance(message, pb.Status | pb.Parameters) or is_plausible(message):
             with lock:
-                feed.take(one, START_NS)
+                feed.take(message, START_NS)
     now_s += later_s
 
     for picture in (snapshot.now, snapshot.rest, snapshot.summary):

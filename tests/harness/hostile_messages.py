@@ -54,13 +54,13 @@ def message(chance: Random, valid: Message) -> Message:
 
 
 def _inner(outer: Message) -> list[Message]:
-    found = [outer]
+    messages = [outer]
     fields: Any = outer.ListFields()
     for field, value in fields:
         if field.type == field.TYPE_MESSAGE and not field.message_type.GetOptions().map_entry:
-            for one in value if field.is_repeated else [value]:
-                found += _inner(one)
-    return found
+            for item in value if field.is_repeated else [value]:
+                messages += _inner(item)
+    return messages
 
 
 def _change(chance: Random, target: Message) -> None:
@@ -132,7 +132,7 @@ def usual_messages() -> list[tuple[str, Message]]:
 
 def write_log(path: Path, messages: list[tuple[str, Message]]) -> bytes:
     """Write a log of these messages, and return its bytes."""
-    return write_payloads(path, [(topic, one.SerializeToString()) for topic, one in messages])
+    return write_payloads(path, [(topic, item.SerializeToString()) for topic, item in messages])
 
 
 def write_payloads(path: Path, payloads: Iterable[tuple[str, bytes]]) -> bytes:

@@ -65,10 +65,10 @@ def serve(messages: Iterable[Message]) -> None:
             attribute.datachange_callbacks[0] = send
     try:
         for half in (arrived[: len(arrived) // 2], arrived[len(arrived) // 2 :]):
-            for one in half:
-                if not isinstance(one, pb.Status | pb.Parameters) or is_plausible(one):
+            for message in half:
+                if not isinstance(message, pb.Status | pb.Parameters) or is_plausible(message):
                     with lock:
-                        feed.take(one, START_NS)
+                        feed.take(message, START_NS)
             _LOOP.run_until_complete(update())
     finally:
         for made in set(inner.aspace.keys()) - before:

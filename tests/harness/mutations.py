@@ -53,8 +53,8 @@ def _change(chance: Random, holder: Any, key: Any, holders: list[tuple[Any, Any]
     elif kind == 3 and isinstance(value, int | float) and not isinstance(value, bool):
         holder[key] = chance.choice([-value, value * 1000, value * 1e-3 if abs(value) < 1e300 else 1e-9, str(value)])
     elif kind == 4:
-        other, place = holders[chance.randrange(len(holders))]
-        holder[key] = copy.deepcopy(other.get(place) if isinstance(other, dict) else other[place % max(len(other), 1)])
+        other, index = holders[chance.randrange(len(holders))]
+        holder[key] = copy.deepcopy(other.get(index) if isinstance(other, dict) else other[index % max(len(other), 1)])
     else:
         holder[key] = copy.deepcopy(chance.choice(HOSTILE))
 

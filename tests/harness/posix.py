@@ -25,18 +25,18 @@ _FOLDERS = ("firmware", "notebooks", "bench", "system")  # compilers, make, whol
 @cache
 def needs_posix(path: Path) -> bool:
     """Return whether a test module needs a POSIX system."""
-    place = path.relative_to(ROOT / "tests")
-    if place == _EVERYWHERE or place.parts[0] in _FOLDERS:
-        return place != _EVERYWHERE
+    relative_path = path.relative_to(ROOT / "tests")
+    if relative_path == _EVERYWHERE or relative_path.parts[0] in _FOLDERS:
+        return relative_path != _EVERYWHERE
     # A file and the helpers below it, each once: helpers import each other.
-    seen, ahead = set(), [path]
+    visited, ahead = set(), [path]
     while ahead:
         file = ahead.pop()
-        if file in seen or not file.exists():
+        if file in visited or not file.exists():
             continue
-        seen.add(file)
-        found, helpers = _search(file)
-        if found:
+        visited.add(file)
+        has_match, helpers = _search(file)
+        if has_match:
             return True
         ahead += helpers
     return False

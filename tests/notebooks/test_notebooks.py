@@ -23,7 +23,7 @@ NOTEBOOKS = Path(__file__).parents[2] / "docs" / "notebooks"
 
 
 def run_script(*words: str | Path, folder: Path) -> str:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, *map(str, words)],
         cwd=folder,
         capture_output=True,
@@ -31,8 +31,8 @@ def run_script(*words: str | Path, folder: Path) -> str:
         timeout=10 * HANG_S,
         check=False,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    assert process.returncode == 0, process.stdout + process.stderr
+    return process.stdout
 
 
 @contextmanager
@@ -50,24 +50,24 @@ def rig(folder: Path) -> Iterator[RunningGateway]:
 @pytest.mark.slow
 def test_subscribe_command_replay(tmp_path: Path) -> None:
     with rig(tmp_path) as gateway:
-        said = run_script(NOTEBOOKS / "subscribe_command_replay.py", gateway.endpoint, folder=tmp_path)
+        output = run_script(NOTEBOOKS / "subscribe_command_replay.py", gateway.endpoint, folder=tmp_path)
 
-    height = re.search(r"after the step the ball is at ([\d.]+) mm", said)
+    height = re.search(r"after the step the ball is at ([\d.]+) mm", output)
     assert height is not None
     assert float(height.group(1)) == pytest.approx(3.0, abs=0.2)
-    assert "set reference was refused by the gateway: out-of-range" in said
-    assert "0 dropped" in said
-    assert "the same ticks" in said
+    assert "set reference was refused by the gateway: out-of-range" in output
+    assert "0 dropped" in output
+    assert "the same ticks" in output
 
 
 @pytest.mark.slow
 def test_your_first_diagnosis(tmp_path: Path) -> None:
-    place = tmp_path / "demo-out" / "campaign-1"
+    campaign_folder = tmp_path / "demo-out" / "campaign-1"
     with rig(tmp_path) as gateway:
         words: list[str | Path] = [
             "campaign",
             "run",
-            place,
+            campaign_folder,
             "--board",
             "rig1",
             "--connect",
@@ -76,10 +76,10 @@ def test_your_first_diagnosis(tmp_path: Path) -> None:
         ]
         run_script("-m", "board51", *words, folder=tmp_path)
 
-    said = run_script(NOTEBOOKS / "first_diagnosis.py", folder=tmp_path)
+    output = run_script(NOTEBOOKS / "first_diagnosis.py", folder=tmp_path)
 
-    assert "air-gap-offset" in said  # the emulated rig's coil is 2.4 mm higher than the model's
-    paper, extended = (float(text) for text in re.findall(r"(?:paper|extended) +([\d.]+) um rms", said))
+    assert "air-gap-offset" in output  # the emulated rig's coil is 2.4 mm higher than the model's
+    paper, extended = (float(text) for text in re.findall(r"(?:paper|extended) +([\d.]+) um rms", output))
     assert extended < 0.5 * paper
     assert (tmp_path / "diagnosis" / "report.html").exists()
     assert len(list((tmp_path / "diagnosis").glob("*.png"))) >= 4

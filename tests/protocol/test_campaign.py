@@ -167,9 +167,9 @@ def test_a_campaign_reaches_no_file_outside_its_folder(tmp_path: Path, name: str
 
     campaign = load(rig)
 
-    with pytest.raises(DataError, match=r"outside the campaign's folder|is not at") as said:
+    with pytest.raises(DataError, match=r"outside the campaign's folder|is not at") as error:
         campaign.path_of(campaign.recordings[0])
-    assert "--data" in str(said.value)
+    assert "--data" in str(error.value)
 
 
 def test_a_link_to_the_folder_that_the_user_names_is_followed(tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def test_the_baseline_of_the_benchmark_decodes_the_same_states() -> None:
     (state,) = (row for row in ROWS if row.name == "STATE")
     stream = bench.noisy(rng, [bench.random_frame(rng, state) for _ in range(500)])
 
-    ours = [event._asdict() for event in StreamDecoder().feed(stream) if isinstance(event, State)]
+    decoded = [event._asdict() for event in StreamDecoder().feed(stream) if isinstance(event, State)]
 
-    assert len(ours) > 400
-    assert bench.FirstTry().feed(stream) == ours
+    assert len(decoded) > 400
+    assert bench.FirstTry().feed(stream) == decoded

@@ -159,15 +159,15 @@ def test_the_longest_frame_passes_and_one_byte_more_is_oversize() -> None:
 
 @given(st.binary(min_size=10, max_size=10).map(lambda body: b"\x40" + body[1:]))
 def test_the_fast_path_of_states_is_the_row_of_the_table(body: bytes) -> None:
-    by_table = decode_body(body)
+    expected = decode_body(body)
 
     (event,) = StreamDecoder().feed(encode_frame(body))
 
-    if isinstance(by_table, str):
-        assert event == BadFrame(by_table, cobs_encode(body + crc_bytes(body)))
+    if isinstance(expected, str):
+        assert event == BadFrame(expected, cobs_encode(body + crc_bytes(body)))
     else:
         assert isinstance(event, State)
-        assert event._asdict() == by_table.values
+        assert event._asdict() == expected.values
 
 
 def crc_bytes(body: bytes) -> bytes:

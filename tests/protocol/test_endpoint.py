@@ -36,15 +36,15 @@ def _reaches(publisher: zenoh.Session, subscriber: zenoh.Session, limit_s: float
 def test_daemons_that_started_before_their_router_hear_each_other_through_it() -> None:
     endpoint = free_endpoint()
     daemon = zenoh_config("client", connect=[endpoint], wait_for_router=False)
-    with _open(daemon) as one, _open(daemon) as other:
+    with _open(daemon) as first, _open(daemon) as other:
         with _open(zenoh_config("router", listen=[endpoint])):
-            assert _reaches(one, other)
+            assert _reaches(first, other)
             with _open(zenoh_config("client", connect=[endpoint])) as command:
-                assert _reaches(one, command)
+                assert _reaches(first, command)
                 assert _reaches(command, other)
 
         with _open(zenoh_config("router", listen=[endpoint])):  # gone and back
-            assert _reaches(one, other)
+            assert _reaches(first, other)
 
 
 def test_a_command_without_a_router_fails_instead_of_waiting_for_ever() -> None:
@@ -63,12 +63,12 @@ def test_a_large_message_maps_no_shared_memory() -> None:
         assert ".zenoh" not in Path("/proc/self/maps").read_text(encoding="ascii")
 
 
-@pytest.mark.parametrize("apart", [False, True], ids=["the gateway is the router", "router apart"])
-def test_a_subscriber_that_does_not_read_stalls_nobody_else(apart: bool) -> None:
+@pytest.mark.parametrize("separate", [False, True], ids=["the gateway is the router", "router apart"])
+def test_a_subscriber_that_does_not_read_stalls_nobody_else(separate: bool) -> None:
     endpoint = free_endpoint()
     client = zenoh_config("client", connect=[endpoint])
     with _open(zenoh_config("router", listen=[endpoint])) as router, _open(client) as healthy:
-        if not apart:
+        if not separate:
             assert longest_round_s(router, healthy, client) < STALL_S
             return
         with _open(zenoh_config("client", connect=[endpoint], wait_for_router=False)) as gateway:
@@ -78,10 +78,10 @@ def test_a_subscriber_that_does_not_read_stalls_nobody_else(apart: bool) -> None
 
 def test_the_shipped_router_file_hands_on_as_ours_does() -> None:
     shipped = zenoh.Config.from_file(str(Path(__file__).parents[2] / "gateway" / "router.json5"))
-    ours = zenoh.Config.from_json5(zenoh_config("router", listen=["tcp/127.0.0.1:7447"]))
+    generated = zenoh.Config.from_json5(zenoh_config("router", listen=["tcp/127.0.0.1:7447"]))
 
     for part in ("transport", "qos"):
-        assert shipped.get_json(part) == ours.get_json(part)
+        assert shipped.get_json(part) == generated.get_json(part)
 
 
 @pytest.mark.parametrize("endpoint", ["", "7447", "tcp/", "tcp/a b:1", "http://x:1"])

@@ -105,10 +105,10 @@ def test_a_line_of_a_table_has_a_bound_wherever_it_begins(tmp_path: Path, packed
     [(["root:$6$salt$hash:19000"], ["bin:*:19000"]), (["user", "password"], ["ana", "secret"]), (["a", "b"], [])],
 )
 def test_what_is_no_recording_is_refused_without_a_word_of_it(head: list[str], row: list[str]) -> None:
-    with pytest.raises(DataError) as said:
+    with pytest.raises(DataError) as error:
         read_header(Path("file"), ",".join(head), ",".join(row))
 
-    assert not any(cell in str(said.value) for cell in (*head, *row) if len(cell) > 1)
+    assert not any(cell in str(error.value) for cell in (*head, *row) if len(cell) > 1)
 
 
 def test_an_error_is_one_line_that_a_terminal_can_show() -> None:

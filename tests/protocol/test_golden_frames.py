@@ -15,7 +15,7 @@ from protocol.wire.messages import ROW_OF_NAME, Field, Message
 from tests.harness.protocol.golden import BAD, FRAMES, GOLDEN, Golden
 
 
-def crc_by_the_page(data: bytes) -> int:
+def documented_crc(data: bytes) -> int:
     crc = 0xFFFF
     for byte in data:
         crc ^= byte << 8
@@ -24,7 +24,7 @@ def crc_by_the_page(data: bytes) -> int:
     return crc
 
 
-def cobs_by_the_page(data: bytes) -> bytes:
+def documented_cobs(data: bytes) -> bytes:
     stuffed, piece = bytearray(), bytearray()
     for byte in (*data, 0):  # the end cuts like a zero
         if byte:
@@ -35,9 +35,9 @@ def cobs_by_the_page(data: bytes) -> bytes:
     return bytes(stuffed)
 
 
-def frame_by_the_page(body: bytes) -> bytes:
-    crc = crc_by_the_page(body)
-    return b"\x00" + cobs_by_the_page(body + bytes([crc >> 8, crc & 0xFF])) + b"\x00"
+def documented_frame(body: bytes) -> bytes:
+    crc = documented_crc(body)
+    return b"\x00" + documented_cobs(body + bytes([crc >> 8, crc & 0xFF])) + b"\x00"
 
 
 def fields_of(name: str) -> tuple[Field, ...]:
@@ -51,7 +51,7 @@ def test_there_is_a_golden_frame_of_every_message_and_a_bad_one_of_every_cause()
 
 @pytest.mark.parametrize("golden", FRAMES, ids=lambda golden: golden.title)
 def test_the_file_follows_the_rules_of_the_page(golden: Golden) -> None:
-    assert frame_by_the_page(golden.hex("body")) == golden.hex("wire")
+    assert documented_frame(golden.hex("body")) == golden.hex("wire")
 
 
 @pytest.mark.parametrize("golden", FRAMES, ids=lambda golden: golden.title)
@@ -94,10 +94,10 @@ def test_the_whole_file_as_one_stream_gives_every_event_in_order() -> None:
 
 
 def test_crc_has_the_check_value_and_the_residue_of_the_page() -> None:
-    assert crc_by_the_page(b"123456789") == crc16(b"123456789") == 0x29B1
+    assert documented_crc(b"123456789") == crc16(b"123456789") == 0x29B1
     for golden in FRAMES:
         body = golden.hex("body")
-        assert crc16(body) == crc_by_the_page(body)
+        assert crc16(body) == documented_crc(body)
         assert crc16(body + crc16(body).to_bytes(2, "big")) == 0
 
 
@@ -105,8 +105,8 @@ def test_crc_has_the_check_value_and_the_residue_of_the_page() -> None:
     "data", [b"", b"\0", b"\0\0", b"a\0", b"\0a", b"ab", bytes(66), bytes(range(66)), b"\xff" * 66]
 )
 def test_cobs_is_that_of_the_page_and_comes_undone(data: bytes) -> None:
-    assert cobs_encode(data) == cobs_by_the_page(data)
-    assert cobs_decode(cobs_by_the_page(data)) == data
+    assert cobs_encode(data) == documented_cobs(data)
+    assert cobs_decode(documented_cobs(data)) == data
     assert len(cobs_encode(data)) == len(data) + 1
     assert 0 not in cobs_encode(data)
 

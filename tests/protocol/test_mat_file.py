@@ -36,16 +36,16 @@ def saved(content: dict[str, Any], **options: Any) -> bytes:
     packed=st.booleans(),
 )
 def test_what_is_saved_is_read(content: dict[str, Any], packed: bool) -> None:
-    found = parse_mat(saved(content, do_compression=packed), LARGEST)
+    parsed = parse_mat(saved(content, do_compression=packed), LARGEST)
 
-    assert found.keys() == content.keys()
+    assert parsed.keys() == content.keys()
     for name, value in content.items():
-        here = found[name]
+        entry = parsed[name]
         for inner, expected in value.items() if isinstance(value, dict) else [(None, value)]:
-            one = here if inner is None else here[inner] if isinstance(here, dict) else None
-            assert isinstance(one, Numbers)
-            assert one.shape == expected.shape
-            assert list(one.values) == expected.ravel(order="F").tolist()
+            array = entry if inner is None else entry[inner] if isinstance(entry, dict) else None
+            assert isinstance(array, Numbers)
+            assert array.shape == expected.shape
+            assert list(array.values) == expected.ravel(order="F").tolist()
 
 
 def test_what_is_no_array_of_real_numbers_says_why() -> None:
@@ -66,10 +66,10 @@ def test_a_file_of_the_other_byte_order() -> None:
     element += struct.pack(">HH4s", 1, 1, b"x") + struct.pack(">IIdd", 9, 16, 1.0, 2.5)
     data = b"MATLAB".ljust(124) + b"\x01\x00MI" + struct.pack(">II", 14, len(element)) + element
 
-    found = parse_mat(data, LARGEST)["x"]
+    parsed = parse_mat(data, LARGEST)["x"]
 
-    assert isinstance(found, Numbers)
-    assert list(found.values) == [1.0, 2.5]
+    assert isinstance(parsed, Numbers)
+    assert list(parsed.values) == [1.0, 2.5]
 
 
 def test_a_file_that_expands_is_refused() -> None:

@@ -16,7 +16,7 @@ FORMATS = {"u8": "<B", "flags": "<B", "u16": "<H", "i16": "<h", "u32": "<I", "f3
 EVERY_FIELD = [(row, field) for row in ROWS for field in row.fields]
 
 
-def least(field: Field) -> Value:
+def allowed_value(field: Field) -> Value:
     """A value that is allowed."""
     if field.type == "f32":
         return 0.0
@@ -27,23 +27,23 @@ def least(field: Field) -> Value:
 
 
 def valid(row: Row) -> dict[str, Value]:
-    return {field.name: least(field) for field in row.fields}
+    return {field.name: allowed_value(field) for field in row.fields}
 
 
-def offset(row: Row, wanted: Field) -> int:
+def offset(row: Row, target: Field) -> int:
     """Where a field begins in the body, from the types alone."""
     at = 1.0
     for field in row.fields:
-        if field is wanted:
+        if field is target:
             return int(at)
         if field.type == "counts":
             at += 1.5
         else:
             at += int(field.type[5:]) if field.type.startswith("bytes") else struct.calcsize(FORMATS[field.type])
-    raise AssertionError(wanted)
+    raise AssertionError(target)
 
 
-def beyond(field: Field) -> list[Value]:
+def invalid_values(field: Field) -> list[Value]:
     """Values just outside the range, or of the wrong type."""
     if field.type == "f32":
         return [math.nan, math.inf, -math.inf, 3.5e38, -3.5e38, 1]
@@ -58,7 +58,7 @@ def beyond(field: Field) -> list[Value]:
 
 @pytest.mark.parametrize(("row", "field"), EVERY_FIELD, ids=lambda part: part.name)
 def test_encoding_refuses_what_is_out_of_range_and_names_the_field(row: Row, field: Field) -> None:
-    for value in beyond(field):
+    for value in invalid_values(field):
         with pytest.raises(ValueError, match=rf"^{row.name}\.{field.name} = "):
             encode_body(row.name, **(valid(row) | {field.name: value}))
 
@@ -69,7 +69,7 @@ def test_decoding_refuses_what_is_out_of_range(row: Row, field: Field) -> None:
         return  # 12 bits hold 0..4095 and bytes anything: nothing can be out of range on the line
     layout = struct.Struct(FORMATS[field.type])
     tried = 0
-    for value in beyond(field):
+    for value in invalid_values(field):
         try:
             raw = layout.pack(value)
         except (struct.error, OverflowError):

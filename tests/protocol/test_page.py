@@ -25,9 +25,9 @@ DRAWING_WIDTH = 110
 
 def section(heading: str) -> str:
     """What stands under the one heading that starts with `heading`, down to the next heading."""
-    found = re.findall(rf"^#+ {re.escape(heading)}[^\n]*\n(.*?)(?=^#+ |\Z)", PAGE, re.MULTILINE | re.DOTALL)
-    assert len(found) == 1, f"{len(found)} headings start with {heading!r}"
-    return str(found[0])
+    matches = re.findall(rf"^#+ {re.escape(heading)}[^\n]*\n(.*?)(?=^#+ |\Z)", PAGE, re.MULTILINE | re.DOTALL)
+    assert len(matches) == 1, f"{len(matches)} headings start with {heading!r}"
+    return str(matches[0])
 
 
 def table(text: str) -> list[str]:
@@ -49,16 +49,16 @@ def field_lines(row: Row) -> list[str]:
     at = 1.0  # after the type byte
     for field in row.fields:
         if field.type == "counts":
-            place = (
+            position = (
                 f"{int(at)}-{int(at) + 2}, bits 0-11" if at.is_integer() else f"{int(at) - 1}-{int(at) + 1}, bits 12-23"
             )
         else:
             last = int(at + field_size(field)) - 1
-            place = f"{int(at)}" if last == at else f"{int(at)}-{last}"
+            position = f"{int(at)}" if last == at else f"{int(at)}-{last}"
         at += field_size(field)
         limits = "finite" if field.type == "f32" else "any" if field.low is None else f"{field.low} .. {field.high}"
         lines.append(
-            f"| {place} | {field.name} | {field.type} | {field.unit or '-'} | {limits} | {field.description} |"
+            f"| {position} | {field.name} | {field.type} | {field.unit or '-'} | {limits} | {field.description} |"
         )
     return lines
 

@@ -25,7 +25,7 @@ CE152: dict[str, Any] = {
 RECORDING = '[[recording]]\nfile = "r.csv"\nkind = "free"\nuse = "fit"\n'
 
 
-def judged(**changed: Any) -> dict[str, Objection]:
+def find_objections(**changed: Any) -> dict[str, Objection]:
     highest = changed.pop("highest_reference_m", None)
     values = {key: value for key, value in (CE152 | changed).items() if value is not None}
     return {objection.key: objection for objection in objections(values, highest_reference_m=highest)}
@@ -34,12 +34,12 @@ def judged(**changed: Any) -> dict[str, Objection]:
 def test_the_published_ball_has_the_weight_of_steel() -> None:
     # Chromium steel, 10 mm: 4.07 to 4.11 g in tables of makers of bearings.
     assert steel_ball_kg(10e-3) == pytest.approx(4.09e-3, rel=0.02)
-    assert judged() == {}
-    assert judged(highest_reference_m=5.2e-3) == {}
+    assert find_objections() == {}
+    assert find_objections(highest_reference_m=5.2e-3) == {}
 
 
 @pytest.mark.parametrize(
-    ("changed", "key", "said"),
+    ("changed", "key", "expected"),
     [
         ({"mass_kg": 8.28}, "mass_kg", "8.28 kg is outside 0.1 g .. 2 kg. You may mean 8.28 g (mass_kg = 0.00828)."),
         ({"mass_kg": 8.28e-6}, "mass_kg", "You may mean 8.28 g"),
@@ -53,16 +53,16 @@ def test_the_published_ball_has_the_weight_of_steel() -> None:
     ],
 )
 def test_what_is_impossible_is_an_error_and_says_what_may_be_meant(
-    changed: dict[str, Any], key: str, said: str
+    changed: dict[str, Any], key: str, expected: str
 ) -> None:
-    objection = judged(**changed)[key]
+    objection = find_objections(**changed)[key]
 
     assert objection.is_error
-    assert said in objection.text
+    assert expected in objection.text
 
 
 @pytest.mark.parametrize(
-    ("changed", "key", "said"),
+    ("changed", "key", "expected"),
     [
         ({"mass_kg": 20e-3}, "mass_kg", "20 g does not fit the diameter: a steel ball of 12.6 mm weighs 8.222 g"),
         ({"mass_kg": 1.5, "ball_diameter_m": None}, "mass_kg", "1.5 kg is unusual, 0.5 g .. 200 g are usual. You may"),
@@ -77,20 +77,20 @@ def test_what_is_impossible_is_an_error_and_says_what_may_be_meant(
         ({"travel_m": 20e-3, "x_max_m": 20e-3, "highest_reference_m": 5.2e-3}, "travel_m", "end at 5.2 mm"),
     ],
 )
-def test_what_is_unusual_is_asked_about(changed: dict[str, Any], key: str, said: str) -> None:
-    objection = judged(**changed)[key]
+def test_what_is_unusual_is_asked_about(changed: dict[str, Any], key: str, expected: str) -> None:
+    objection = find_objections(**changed)[key]
 
     assert not objection.is_error
-    assert said in objection.text
+    assert expected in objection.text
 
 
 @pytest.mark.parametrize("gravity_m_s2", [9.75, 9.764, 9.81, 9.834, 9.84])
 def test_gravity_as_measured_on_earth_is_not_asked_about(gravity_m_s2: float) -> None:
-    assert judged(gravity_m_s2=gravity_m_s2) == {}
+    assert find_objections(gravity_m_s2=gravity_m_s2) == {}
 
 
 def test_a_heavy_ball_that_is_as_large_is_asked_about_only_for_its_size() -> None:
-    large = judged(mass_kg=steel_ball_kg(60e-3), ball_diameter_m=60e-3)
+    large = find_objections(mass_kg=steel_ball_kg(60e-3), ball_diameter_m=60e-3)
 
     assert set(large) == {"mass_kg", "ball_diameter_m"}
     assert "does not fit" not in large["mass_kg"].problem
@@ -98,10 +98,10 @@ def test_a_heavy_ball_that_is_as_large_is_asked_about_only_for_its_size() -> Non
 
 @given(st.dictionaries(st.sampled_from([*CE152, "name", "other"]), st.floats() | st.text() | st.none() | st.booleans()))
 def test_whatever_is_stated_is_judged_without_an_error_of_ours(values: dict[str, object]) -> None:
-    found = objections(values)
+    results = objections(values)
 
-    assert len({objection.key for objection in found}) == len(found)
-    for objection in found:
+    assert len({objection.key for objection in results}) == len(results)
+    for objection in results:
         value = values[objection.key]
         assert isinstance(value, float)
         assert math.isfinite(value)

@@ -27,11 +27,11 @@ def stop() -> Command:
     return command(2, "STOP")
 
 
-def begun(first: Command, *others: Command) -> SendQueue:
+def begun(first: Command, *rest: Command) -> SendQueue:
     queue = SendQueue()
     queue.add(first)
     queue.wrote(BEGUN)
-    for other in others:
+    for other in rest:
         queue.add(other)
     return queue
 

@@ -93,14 +93,14 @@ def test_states_before_the_identity_are_not_samples() -> None:
     assert [e.tick for e in events if isinstance(e, Sample)] == [10_000, 10_001]
 
 
-@pytest.mark.parametrize("by", ["identity", "nack"])
-def test_another_protocol_version_ends_the_handshake(by: str) -> None:
+@pytest.mark.parametrize("reply", ["identity", "nack"])
+def test_another_protocol_version_ends_the_handshake(reply: str) -> None:
     session = new_session()
     session.connect(0.0)
     session.poll(0.0)
     (hello,) = sent(session)
 
-    data = identity(hello.int("id"), version=2) if by == "identity" else nack(hello, Reason.VERSION, 2)
+    data = identity(hello.int("id"), version=2) if reply == "identity" else nack(hello, Reason.VERSION, 2)
     events = session.feed(data, 0.0)
 
     assert events == [VersionRefused(2)]
@@ -309,10 +309,10 @@ def test_a_reset_event_alone_ends_nothing() -> None:
 
 def test_lost_and_doubled_events_are_seen() -> None:
     session = opened()
-    one = frame("EVENT", number=4, tick=10_001, code=int(EventCode.LIMIT_HIT), detail=0)
+    first = frame("EVENT", number=4, tick=10_001, code=int(EventCode.LIMIT_HIT), detail=0)
     later = frame("EVENT", number=7, tick=10_009, code=int(EventCode.LIMIT_HIT), detail=0)
 
-    events = session.feed(one + one + later, 2.0)
+    events = session.feed(first + first + later, 2.0)
 
     assert [e.missed for e in events if isinstance(e, BoardEvent)] == [0, 2]
     assert session.counters.events_lost == 2
@@ -345,12 +345,12 @@ def test_no_bytes_make_it_raise() -> None:
 
 def test_ids_stay_within_a_byte_and_skip_zero() -> None:
     session = opened()
-    seen = set()
+    ids = set()
 
     for n in range(600):
         session.submit("PING", 0.0)
         (ping,) = sent(session)
-        seen.add(ping.int("id"))
+        ids.add(ping.int("id"))
         session.feed(frame("PONG", id=ping.int("id"), tick=10_000 + n, bad_frames=0, overruns=0), 0.0)
 
-    assert seen == set(range(1, 256))
+    assert ids == set(range(1, 256))

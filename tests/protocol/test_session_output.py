@@ -66,12 +66,12 @@ def test_a_command_waits_for_its_turn_for_so_long_and_no_longer() -> None:
 
     early = session.poll(0.31)
     (ping,) = sent(session)
-    late = session.poll(WAIT_S)
+    later = session.poll(WAIT_S)
     session.feed(pong(ping), WAIT_S)
 
     assert session.waiting == 0
     assert answers(early) == [Answer(brief, "timed-out", 0)]
-    assert answers(late) == [Answer(patient, "timed-out", 0)]
+    assert answers(later) == [Answer(patient, "timed-out", 0)]
     assert names(session) == []
     assert first
 

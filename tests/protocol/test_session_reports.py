@@ -22,7 +22,7 @@ def event(number: int, *, tick: int = 10_001, code: EventCode = EventCode.LIMIT_
     return frame("EVENT", number=number, tick=tick, code=int(code), detail=detail)
 
 
-def asked(session: Session, name: str, now_s: float, **values: int) -> tuple[int, Message]:
+def submit_command(session: Session, name: str, now_s: float, **values: int) -> tuple[int, Message]:
     token = session.submit(name, now_s, **values)
     (command,) = sent(session)
     return token, command
@@ -30,7 +30,7 @@ def asked(session: Session, name: str, now_s: float, **values: int) -> tuple[int
 
 def test_a_sample_has_tick_session_losses_counts_and_time() -> None:
     session = opened(first_number=5)
-    asked(session, "SET_STREAM", 0.0, divider=1)
+    submit_command(session, "SET_STREAM", 0.0, divider=1)
 
     events = session.feed(state(10_000) + state(10_001), 0.1) + session.feed(state(10_004) + state(10_005), 0.2)
 
@@ -49,10 +49,10 @@ def test_sessions_are_numbered_from_the_first_number_on() -> None:
         session.connect(0.0)
         session.poll(0.0)
         (hello,) = sent(session)
-        (said,) = session.feed(identity(hello.int("id")), 0.0)
-        assert isinstance(said, Opened)
-        assert said.identity.values["board_id"] == 7
-        numbers.append(said.session)
+        (opening,) = session.feed(identity(hello.int("id")), 0.0)
+        assert isinstance(opening, Opened)
+        assert opening.identity.values["board_id"] == 7
+        numbers.append(opening.session)
         session.disconnect()
 
     assert numbers == [1, 2]
@@ -95,7 +95,7 @@ def test_answers_to_nobody_are_counted_and_echoes_are_not_late() -> None:
 
 def test_a_refusal_is_the_answer_with_the_board_s_words() -> None:
     session = opened()
-    token, command = asked(session, "SET_MODE", 0.0, mode=2)
+    token, command = submit_command(session, "SET_MODE", 0.0, mode=2)
 
     (answer,) = answers(session.feed(nack(command, Reason.BUSY, 3), 0.01))
 
@@ -108,7 +108,7 @@ def test_a_refusal_is_the_answer_with_the_board_s_words() -> None:
 def test_every_session_that_the_board_forgot_is_a_reset() -> None:
     session = opened()
     for resets in (1, 2):
-        _, command = asked(session, "SET_MODE", 0.0, mode=1)
+        _, command = submit_command(session, "SET_MODE", 0.0, mode=1)
 
         assert session.feed(nack(command, Reason.NO_SESSION), 0.0)[0] == Restarted("no-session", True)
         assert not session.is_open
@@ -134,12 +134,12 @@ def test_an_event_is_told_whole_and_lost_ones_add_up() -> None:
 def test_the_rate_is_the_new_one_from_the_ack_on_and_the_slower_of_both_before(old: int, new: int) -> None:
     session = opened()
     assert session.unwrapper.divider is None
-    _, command = asked(session, "SET_STREAM", 0.0, divider=old)
+    _, command = submit_command(session, "SET_STREAM", 0.0, divider=old)
     assert session.unwrapper.divider is None
     session.feed(ack(command), 0.0)
     assert session.unwrapper.divider == old
 
-    _, command = asked(session, "SET_STREAM", 0.0, divider=new)
+    _, command = submit_command(session, "SET_STREAM", 0.0, divider=new)
     assert session.unwrapper.divider == 10
     session.feed(ack(command), 0.0)
     assert session.unwrapper.divider == new
@@ -147,10 +147,10 @@ def test_the_rate_is_the_new_one_from_the_ack_on_and_the_slower_of_both_before(o
 
 def test_other_commands_leave_the_rate_as_it_is() -> None:
     session = opened()
-    _, command = asked(session, "SET_STREAM", 0.0, divider=2)
+    _, command = submit_command(session, "SET_STREAM", 0.0, divider=2)
     session.feed(ack(command), 0.0)
 
-    _, command = asked(session, "SET_MODE", 0.0, mode=1)
+    _, command = submit_command(session, "SET_MODE", 0.0, mode=1)
     session.feed(ack(command), 0.0)
 
     assert session.unwrapper.divider == 2
@@ -159,9 +159,9 @@ def test_other_commands_leave_the_rate_as_it_is() -> None:
 @pytest.mark.parametrize(("waits", "divider"), [(False, 7), (True, 5)])
 def test_the_board_s_parameters_tell_the_rate_unless_a_new_one_waits(waits: bool, divider: int) -> None:
     session = opened()
-    _, first = asked(session, "SET_STREAM", 0.0, divider=3)
+    _, first = submit_command(session, "SET_STREAM", 0.0, divider=3)
     session.feed(ack(first), 0.0)
-    _, question = asked(session, "GET_PARAMETERS", 0.0)
+    _, question = submit_command(session, "GET_PARAMETERS", 0.0)
     if waits:
         session.submit("SET_STREAM", 0.0, divider=5)
 
@@ -173,7 +173,7 @@ def test_the_board_s_parameters_tell_the_rate_unless_a_new_one_waits(waits: bool
 
 def test_a_block_of_a_capture_answers_the_question_for_its_index_only() -> None:
     session = opened()
-    token, question = asked(session, "READ_CAPTURE", 0.0, index=32)
+    token, question = submit_command(session, "READ_CAPTURE", 0.0, index=32)
 
     def block(index: int) -> bytes:
         return frame("CAPTURE_BLOCK", id=question.int("id"), index=index, total=64, tick=1, samples=bytes(48))
@@ -253,7 +253,7 @@ def test_what_was_answered_is_not_repeated() -> None:
     session.feed(identity(hello.int("id")), 0.26)
     assert session.output() == b""
 
-    _, command = asked(session, "SET_MODE", 0.3, mode=1)
+    _, command = submit_command(session, "SET_MODE", 0.3, mode=1)
     session.poll(0.4)
     session.feed(ack(command), 0.41)
     assert session.output() == b""

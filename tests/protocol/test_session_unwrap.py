@@ -39,9 +39,9 @@ def ticks_of(placed: list[Sample | Jump]) -> list[int]:
 @given(
     start=st.integers(0, 200_000),
     steps=st.lists(st.integers(1, 400), min_size=1, max_size=60),
-    late_s=st.lists(st.floats(0, 0.05), min_size=1, max_size=10),
+    delays_s=st.lists(st.floats(0, 0.05), min_size=1, max_size=10),
 )
-def test_every_loss_is_counted_and_no_tick_is_wrong(start: int, steps: list[int], late_s: list[float]) -> None:
+def test_every_loss_is_counted_and_no_tick_is_wrong(start: int, steps: list[int], delays_s: list[float]) -> None:
     unwrapper = started(start)
     ticks = [start]
     for step in steps:
@@ -49,7 +49,7 @@ def test_every_loss_is_counted_and_no_tick_is_wrong(start: int, steps: list[int]
 
     placed: list[Sample | Jump] = []
     for n, tick in enumerate(ticks):
-        placed += unwrapper.feed(state(tick), tick * T_S + late_s[n % len(late_s)])
+        placed += unwrapper.feed(state(tick), tick * T_S + delays_s[n % len(delays_s)])
 
     following = ticks[-1] + 1
     placed += unwrapper.feed(state(following), following * T_S + 0.05)  # the witness of the last one
@@ -250,10 +250,10 @@ class LongWay(TickUnwrapper):
 @given(
     steps=st.lists(st.one_of(st.just(1), st.integers(-3, 400)), min_size=1, max_size=60),
     divider=st.sampled_from([1, 2]),
-    late_s=st.lists(st.floats(0, 0.05), min_size=1, max_size=10),
+    delays_s=st.lists(st.floats(0, 0.05), min_size=1, max_size=10),
 )
 def test_the_short_way_of_an_undisturbed_stream_gives_what_the_full_rules_give(
-    steps: list[int], divider: int, late_s: list[float]
+    steps: list[int], divider: int, delays_s: list[float]
 ) -> None:
     results = []
     for unwrapper in (TickUnwrapper(), LongWay()):
@@ -262,7 +262,7 @@ def test_the_short_way_of_an_undisturbed_stream_gives_what_the_full_rules_give(
         tick, now_s, placed = 0, 0.0, list[Sample | Jump]()
         for n, step in enumerate(steps):
             tick = max(tick + step * divider, 0)
-            now_s = max(now_s, tick * T_S + late_s[n % len(late_s)])
+            now_s = max(now_s, tick * T_S + delays_s[n % len(delays_s)])
             placed += unwrapper.feed(state(tick), now_s)
         results.append((placed, unwrapper.lost, unwrapper.duplicates, unwrapper.implausible, unwrapper.unplaced))
 

@@ -35,7 +35,7 @@ def state(tick: int, *, u_c: int = 0) -> bytes:
     return frame("STATE", sequence=tick & 0xFFFF, u_c=u_c, flags=0, **counts)
 
 
-def meant(sample: Sample) -> int:
+def encoded_tick(sample: Sample) -> int:
     return sample.state.i_c | sample.state.x << 12 | sample.state.x_ref << 24
 
 
@@ -49,7 +49,7 @@ class Rig:
         self.events: list[Event] = []
         self.states_through = 0  # STATE frames that arrived undamaged
         self.session = Session(choose_session=lambda: self.rng.randrange(1 << 16))
-        self._heard = StreamDecoder()
+        self._decoder = StreamDecoder()
         self._line = b""
         self._steps = 0
         self.session.connect(self.now_s)
@@ -58,7 +58,7 @@ class Rig:
         for _ in range(ticks):
             self._step()
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         """Bytes on the line to the host, spared by the losses."""
         self._line += data
 
@@ -71,7 +71,7 @@ class Rig:
         return [e for e in self.events if isinstance(e, Sample) and e.state.u_c != LIE]
 
     def wrong(self) -> list[Sample]:
-        return [sample for sample in self.samples() if sample.tick != meant(sample)]
+        return [sample for sample in self.samples() if sample.tick != encoded_tick(sample)]
 
     def restarts(self) -> list[Restarted]:
         return [e for e in self.events if isinstance(e, Restarted)]
@@ -85,7 +85,7 @@ class Rig:
         if self.session.is_open and self._steps % PING_TICKS == 0:
             self.session.submit("PING", self.now_s)
         self.events += self.session.poll(self.now_s)
-        commands = [m for m in self._heard.feed(take_output(self.session)) if isinstance(m, Message)]
+        commands = [m for m in self._decoder.feed(take_output(self.session)) if isinstance(m, Message)]
         if self.divider and self.tick % self.divider == 0:
             self._send(state(self.tick), is_state=True)
         for command in commands:
@@ -155,7 +155,7 @@ def test_no_single_lying_frame_moves_the_time_base(
     rig.run(when)
 
     value = (value - 2_000 + rig.tick) & 0xFFFFFFFF if value < 4_000 or value % 65_536 == 2_000 else value
-    rig.say(lying_frame(kind, value, rig))
+    rig.send(lying_frame(kind, value, rig))
     rig.run(600)
     rig.loss = 0.0
     rig.run(4 * divider)
@@ -191,19 +191,19 @@ def test_every_valid_state_is_a_sample_or_counted_by_its_cause(
         rig.run(value % 150)
         if name == "reset":
             rig.tick = 0
-            rig.say(frame("EVENT", number=0, tick=0, code=int(EventCode.RESET_WATCHDOG), detail=1))
+            rig.send(frame("EVENT", number=0, tick=0, code=int(EventCode.RESET_WATCHDOG), detail=1))
         elif name == "jump":
             rig.tick = value
         elif name == "noise":
-            rig.say(rig.rng.randbytes(value % 200) + b"\x00")
+            rig.send(rig.rng.randbytes(value % 200) + b"\x00")
         elif name == "double":
-            rig.say(state(rig.tick, u_c=LIE) + state(rig.tick, u_c=LIE))
+            rig.send(state(rig.tick, u_c=LIE) + state(rig.tick, u_c=LIE))
             lies += 2
         elif name == "silence":
             rig.tick = rig.tick + value % 100_000 & 0xFFFFFFFF
             rig.now_s += value % 100_000 * T_S
         elif name == "lie":
-            rig.say(b"\x00" + state(value, u_c=LIE))
+            rig.send(b"\x00" + state(value, u_c=LIE))
             lies += 1
         elif name == "reconnect":
             rig.session.disconnect()
@@ -237,7 +237,7 @@ def test_restarts_cost_no_state_without_a_count() -> None:
     assert rig.session.states_ignored["unplaced"] == 30  # the two that betray each restart
 
 
-def jump_by_two_wraps(rig: Rig) -> None:
+def jump_two_wraps(rig: Rig) -> None:
     rig.tick += 2 * 65_536
 
 
@@ -246,12 +246,12 @@ def sleep(rig: Rig) -> None:
     rig.tick += 135_000
 
 
-def stand_still(rig: Rig) -> None:
+def pause_board(rig: Rig) -> None:
     """A board that was held for exactly as long as the sequence takes to wrap, by a debugger."""
     rig.now_s += 65_536 * T_S
 
 
-@pytest.mark.parametrize("upset", [jump_by_two_wraps, sleep, stand_still])
+@pytest.mark.parametrize("upset", [jump_two_wraps, sleep, pause_board])
 def test_what_sequences_cannot_show_ends_the_session_and_names_the_samples_in_doubt(
     upset: Callable[[Rig], None],
 ) -> None:
@@ -270,7 +270,7 @@ def test_what_sequences_cannot_show_ends_the_session_and_names_the_samples_in_do
         assert restart.doubtful is not None
         first, last = restart.doubtful
         assert all(first <= sample.tick <= last for sample in wrong)
-    assert rig.samples()[-1].tick == meant(rig.samples()[-1]) == rig.tick - 1
+    assert rig.samples()[-1].tick == encoded_tick(rig.samples()[-1]) == rig.tick - 1
 
 
 def test_an_identity_with_a_wrong_tick_publishes_no_sample() -> None:

@@ -55,7 +55,7 @@ def test_a_quantity_is_in_si_or_bears_its_unit(text: str, channel: str, value: f
 
 
 @pytest.mark.parametrize(
-    ("text", "channel", "said"),
+    ("text", "channel", "expected"),
     [
         ("3", "x_ref", "3 m is more than any such rig has. You may mean 0.003 (3 mm)."),
         ("-1500", "u_c", "-1500 V is more than any such rig has. You may mean -1.5 (-1500 mV)."),
@@ -67,11 +67,11 @@ def test_a_quantity_is_in_si_or_bears_its_unit(text: str, channel: str, value: f
         ("", "i_c", "'' is not a number"),
     ],
 )
-def test_a_quantity_that_is_none_is_asked_back(text: str, channel: str, said: str) -> None:
+def test_a_quantity_that_is_none_is_asked_back(text: str, channel: str, expected: str) -> None:
     with pytest.raises(UsageError) as error:
         quantity(text, channel)
 
-    assert said in str(error.value)
+    assert expected in str(error.value)
 
 
 def test_every_channel_has_its_ranges() -> None:

@@ -21,7 +21,7 @@ from tests.references.compare import differences
 
 RECORDED = Path(__file__).parent / "recorded"
 TWIN = "twin-over-a-log"
-SHOWN = 12  # differences of one case
+MAX_DIFFERENCES = 12  # differences of one case
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -35,7 +35,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, default=2, help="cases side by side (default: 2)")
     options = parser.parse_args(arguments)
     data = Path(os.environ.get("BOARD51_DATA", ROOT.parent / "shared" / "data"))
-    names = [name for name in (*(case.name for case in CASES), TWIN) if _wanted(name, options.only)]
+    names = [name for name in (*(case.name for case in CASES), TWIN) if _is_selected(name, options.only)]
     if not names:
         parser.error(f"no case's name holds {' or '.join(options.only)}")
     if not options.accept and _machine() != _read_machine(options.recorded):
@@ -43,24 +43,24 @@ def main(arguments: list[str] | None = None) -> int:
     began, different = time.monotonic(), 0
     with ProcessPoolExecutor(options.workers) as pool:
         running = {pool.submit(_answer, name, options.tree.resolve(), data): name for name in names}
-        for n, done in enumerate(as_completed(running), 1):
-            name = running[done]
-            place = options.recorded / f"{name}.json.gz"
-            now = done.result()
+        for n, future in enumerate(as_completed(running), 1):
+            name = running[future]
+            path = options.recorded / f"{name}.json.gz"
+            now = future.result()
             if now is None:
                 verdict = f"left out: no measurements in {data}"
             elif options.accept:
-                _write(place, now)
+                _write(path, now)
                 verdict = "recorded"
-            elif not place.exists():
+            elif not path.exists():
                 different += 1
                 verdict = "never recorded: --accept does"
             else:
-                found = differences(json.loads(gzip.decompress(place.read_bytes())), now, relative=options.relative)
-                different += bool(found)
-                verdict = f"{len(found)} fields differ" if found else "as recorded"
-                for one in found[:SHOWN]:
-                    print(f"{name}: {one}")
+                changes = differences(json.loads(gzip.decompress(path.read_bytes())), now, relative=options.relative)
+                different += bool(changes)
+                verdict = f"{len(changes)} fields differ" if changes else "as recorded"
+                for change in changes[:MAX_DIFFERENCES]:
+                    print(f"{name}: {change}")
             print(
                 f"[{time.monotonic() - began:5.0f} s] {n}/{len(names)} {name}: {verdict}", file=sys.stderr, flush=True
             )
@@ -70,8 +70,8 @@ def main(arguments: list[str] | None = None) -> int:
     return 1 if different else 0
 
 
-def _wanted(name: str, only: list[str]) -> bool:
-    return not only or any(text in name for text in only)
+def _is_selected(name: str, texts: list[str]) -> bool:
+    return not texts or any(text in name for text in texts)
 
 
 def _answer(name: str, tree: Path, data: Path) -> dict[str, Any] | None:
@@ -79,24 +79,24 @@ def _answer(name: str, tree: Path, data: Path) -> dict[str, Any] | None:
         folder = Path(scratch)
         if name == TWIN:
             return _without(twin_answers(tree, folder), folder, tree)
-        (case,) = (one for one in CASES if one.name == name)
+        (case,) = (candidate for candidate in CASES if candidate.name == name)
         if case.make is None and not data.is_dir():
             return None
         return _without(answers(case, tree, folder, data), folder, tree)
 
 
-def _without(found: dict[str, Any], folder: Path, tree: Path) -> dict[str, Any]:
+def _without(answer: dict[str, Any], folder: Path, tree: Path) -> dict[str, Any]:
     """Paths differ from run to run; what is in them does not."""
-    text = json.dumps(found, sort_keys=True)
+    text = json.dumps(answer, sort_keys=True)
     for path, name in ((folder, "SCRATCH"), (tree, "TREE")):
         text = text.replace(str(path), name)
     cleaned: dict[str, Any] = json.loads(text)
     return cleaned
 
 
-def _write(place: Path, found: dict[str, Any]) -> None:
-    place.parent.mkdir(parents=True, exist_ok=True)
-    place.write_bytes(gzip.compress(json.dumps(found, sort_keys=True).encode(), mtime=0))
+def _write(path: Path, answer: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(gzip.compress(json.dumps(answer, sort_keys=True).encode(), mtime=0))
 
 
 def _machine() -> dict[str, str]:

@@ -36,47 +36,47 @@ def answers(case: Case, tree: Path, folder: Path, data: Path) -> Answers:
     else:
         campaign = tree / case.campaign
         more = ["--data", str(data)]
-    asked: Answers = {}
+    results: Answers = {}
 
-    def ask(name: str, *arguments: str, result: Path | None = None) -> None:
-        asked[name] = _ask(tree, [name, *arguments, *case.options.get(name, ())], result)
+    def run(name: str, *arguments: str, result: Path | None = None) -> None:
+        results[name] = _run_command(tree, [name, *arguments, *case.options.get(name, ())], result)
 
     model = folder / "model.json"
-    ask("identify", str(campaign), *more, "--quiet", "--out", str(model), result=model)
+    run("identify", str(campaign), *more, "--quiet", "--out", str(model), result=model)
     if model.exists():
         out = folder / "validation"
-        ask("validate", str(campaign), *more, "--model", str(model), "--out", str(out), result=out / "validation.json")
-        ask("design", str(model), "--json")
+        run("validate", str(campaign), *more, "--model", str(model), "--out", str(out), result=out / "validation.json")
+        run("design", str(model), "--json")
     out = folder / "diagnosis"
     quick = ["--quick"] if case.quick else []
     threads = ["--workers", "1"]  # cases run side by side
-    ask("diagnose", str(campaign), *more, "--out", str(out), *quick, *threads, result=out / "diagnosis.json")
+    run("diagnose", str(campaign), *more, "--out", str(out), *quick, *threads, result=out / "diagnosis.json")
     extended = out / "extended_model.json"
     if extended.exists():
-        asked["extended_model"] = json.loads(extended.read_text(encoding="utf-8"))
+        results["extended_model"] = json.loads(extended.read_text(encoding="utf-8"))
         flight = campaign / "closed_loop_6.csv.gz"
         if flight.exists():
             rows = folder / "predicted.csv"
             common = (str(extended), str(flight), "--campaign", str(campaign), "--horizon", "10")
-            ask("predict", *common, "--out", str(rows), "--json")
-            asked["predict"]["rows"] = _rows(rows)
-    return asked
+            run("predict", *common, "--out", str(rows), "--json")
+            results["predict"]["rows"] = _rows(rows)
+    return results
 
 
 def twin_answers(tree: Path, folder: Path) -> Answers:
     """The twin over a log of two boards."""
     log = folder / "flown.mcap"
     flown_log(log)
-    return {"twin": _ask(tree, ["twin", "--log", str(log), "--json"], None)}
+    return {"twin": _run_command(tree, ["twin", "--log", str(log), "--json"], None)}
 
 
-def _ask(tree: Path, arguments: list[str], result: Path | None) -> dict[str, Any]:
+def _run_command(tree: Path, arguments: list[str], result: Path | None) -> dict[str, Any]:
     """Exit code, and the JSON that the command printed or wrote."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("BOARD51_")}
     # One thread in each library: the order of a sum must not depend on how busy the machine is.
     environment |= {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")}
     environment |= {"PYTHONPATH": str(tree), "MPLBACKEND": "Agg"}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "board51", *arguments],
         cwd=tree,
         env=environment,
@@ -85,11 +85,11 @@ def _ask(tree: Path, arguments: list[str], result: Path | None) -> dict[str, Any
         timeout=TIMEOUT_S,
         check=False,
     )
-    text = done.stdout if result is None else result.read_text(encoding="utf-8") if result.exists() else "null"
-    if "Traceback" in done.stderr:
-        raise RuntimeError(f"board51 {' '.join(arguments)}: {done.stderr.strip().splitlines()[-1]}")
-    said = done.stderr.strip().splitlines()[-1] if done.returncode == 2 else ""
-    return {"exit": done.returncode, "said": said, "json": json.loads(text or "null")}
+    text = process.stdout if result is None else result.read_text(encoding="utf-8") if result.exists() else "null"
+    if "Traceback" in process.stderr:
+        raise RuntimeError(f"board51 {' '.join(arguments)}: {process.stderr.strip().splitlines()[-1]}")
+    error = process.stderr.strip().splitlines()[-1] if process.returncode == 2 else ""
+    return {"exit": process.returncode, "said": error, "json": json.loads(text or "null")}
 
 
 def _rows(path: Path) -> dict[str, Any]:

@@ -38,17 +38,17 @@ def differences(was: object, now: object, *, relative: float = 0.0) -> list[Diff
             sentences never may; where `relative` is given, digests are left to the numbers beside them.
     """
     before, after = dict(_leaves(was)), dict(_leaves(now))
-    found = []
+    changes = []
     for field in sorted(before.keys() | after.keys()):
         if any(fnmatch.fnmatchcase(field, pattern) for pattern in IGNORED):
             continue
         if relative and field.endswith(".sha256"):
             continue
-        one, two = before.get(field), after.get(field)
-        if field in before and field in after and _same(one, two, relative):
+        first, second = before.get(field), after.get(field)
+        if field in before and field in after and _same(first, second, relative):
             continue
-        found.append(Difference(field=field, was=one, now=two))
-    return found
+        changes.append(Difference(field=field, was=first, now=second))
+    return changes
 
 
 def _leaves(tree: object, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -31,15 +31,15 @@ def test_each_kind_of_change_is_found() -> None:
         "more": None,
     }
 
-    found = {one.field for one in differences(WAS, changed)}
+    fields = {change.field for change in differences(WAS, changed)}
 
-    assert found == {".verdict", ".causes.length", ".causes[0].d_m", ".causes[1].name", ".n", ".more", ".sha256"}
+    assert fields == {".verdict", ".causes.length", ".causes[0].d_m", ".causes[1].name", ".n", ".more", ".sha256"}
 
 
 def test_a_tolerance_is_for_measurements_alone() -> None:
     changed = {**WAS, "causes": [{"name": "a", "d_m": 1.0 + 1e-9}], "n": 4, "sha256": "y"}
 
-    assert [str(one) for one in differences(WAS, changed, relative=1e-6)] == [".n: 3 -> 4   (2.5e-01 relative)"]
+    assert [str(change) for change in differences(WAS, changed, relative=1e-6)] == [".n: 3 -> 4   (2.5e-01 relative)"]
 
 
 @pytest.mark.slow

@@ -49,7 +49,7 @@ def test_an_advisory_is_named_for_the_versions_it_concerns(
     (tmp_path / f"PYSEC-1.{suffix}").write_text(json.dumps(advisory), encoding="utf-8")
     (tmp_path / "requirements.lock").write_text(LOCK, encoding="utf-8")
 
-    found, compared = advisories.audit(tmp_path, tmp_path / "requirements.lock")
+    findings, compared = advisories.audit(tmp_path, tmp_path / "requirements.lock")
 
-    assert found == (["some-thing 1.10.0: PYSEC-1: It leaks."] if concerned else [])
+    assert findings == (["some-thing 1.10.0: PYSEC-1: It leaks."] if concerned else [])
     assert compared == "2 locked packages, 1 advisories, the newest of 2026-02-03"

@@ -43,22 +43,22 @@ def of_command(name: str) -> list[Argument]:
 
 @pytest.mark.parametrize("name", sorted(board51.COMMANDS))
 def test_no_refusal_of_an_argument_has_a_name_of_python(name: str) -> None:
-    seen = [text for parser, action in of_command(name) for text in refusals(parser, action)]
+    messages = [text for parser, action in of_command(name) for text in refusals(parser, action)]
 
-    assert not [text for text in seen if PYTHON.search(text)]
+    assert not [text for text in messages if PYTHON.search(text)]
 
 
 def test_the_walk_reaches_sub_commands_and_all_kinds_of_refusals() -> None:
-    seen = [text for name in ("send", "campaign") for one in of_command(name) for text in refusals(*one)]
+    messages = [text for name in ("send", "campaign") for argument in of_command(name) for text in refusals(*argument)]
 
-    assert "argument mode: invalid choice: 'no-such'" in " ".join(seen)
-    assert "argument --timeout: 'no-such' is not a number" in seen
-    assert "argument --seed: 'no-such' is not a whole number" in seen
-    assert r"argument --id: '\x01' has characters that cannot be printed" in seen
+    assert "argument mode: invalid choice: 'no-such'" in " ".join(messages)
+    assert "argument --timeout: 'no-such' is not a number" in messages
+    assert "argument --seed: 'no-such' is not a whole number" in messages
+    assert r"argument --id: '\x01' has characters that cannot be printed" in messages
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "expected"),
     [
         ("idenify", "board51: there is no command 'idenify' (did you mean identify?)."),
         ("--versoin", "board51: there is no option --versoin (did you mean --version?)."),
@@ -72,12 +72,12 @@ def test_the_walk_reaches_sub_commands_and_all_kinds_of_refusals() -> None:
     ],
 )
 def test_a_misspelt_word_is_answered_with_the_nearest_one(
-    line: str, said: str, capsys: pytest.CaptureFixture[str]
+    line: str, expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
         board51.main(line.split())
 
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_help_can_be_asked_for_as_a_command(capsys: pytest.CaptureFixture[str]) -> None:

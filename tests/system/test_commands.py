@@ -80,7 +80,7 @@ def test_the_page_of_all_commands_has_each_of_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         (["fly"], "there is no command 'fly'"),
         (["send", "rig1", "reference", "nan"], "not a finite number"),
@@ -127,7 +127,7 @@ def test_the_page_of_all_commands_has_each_of_them() -> None:
 )
 def test_a_mistake_is_one_clear_line_and_exit_code_2(
     words: list[str],
-    said: str,
+    expected: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -137,17 +137,17 @@ def test_a_mistake_is_one_clear_line_and_exit_code_2(
     code, _, err = _answer(words, capsys)
 
     assert code == 2, err
-    assert said in err
+    assert expected in err
     assert "Traceback" not in err
 
 
 @pytest.mark.parametrize(("words", "code"), [(["--help"], 0), (["fly"], 2), (["info", "absent.mcap"], 2)])
 def test_a_shell_sees_the_exit_code(words: list[str], code: int, tmp_path: Path) -> None:
-    done = _call(*words, cwd=tmp_path)
+    process = _call(*words, cwd=tmp_path)
 
-    assert done.returncode == code, done.stderr
-    assert (done.stderr == "") == (code == 0)
-    assert "Traceback" not in done.stderr
+    assert process.returncode == code, process.stderr
+    assert (process.stderr == "") == (code == 0)
+    assert "Traceback" not in process.stderr
 
 
 def test_board51_alone_prints_its_help(capsys: pytest.CaptureFixture[str]) -> None:
@@ -194,10 +194,10 @@ def test_every_benchmark_can_be_started(name: str) -> None:
 def test_without_a_gateway_a_command_says_where_it_looked(tmp_path: Path) -> None:
     endpoint = free_endpoint()
 
-    done = _call("send", "rig1", "ping", "--connect", endpoint, cwd=tmp_path)
+    process = _call("send", "rig1", "ping", "--connect", endpoint, cwd=tmp_path)
 
-    assert done.returncode == 1
-    assert f"No router answers at {endpoint}" in done.stderr
+    assert process.returncode == 1
+    assert f"No router answers at {endpoint}" in process.stderr
 
 
 @pytest.fixture
@@ -214,11 +214,11 @@ def line(tmp_path: Path) -> Iterator[str]:
         try:
             yield endpoint
         finally:
-            said = []
+            errors = []
             for process in (gateway, router):
                 process.send_signal(signal.SIGTERM)
-                said.append(process.communicate(timeout=HANG_S)[1])
-    assert (gateway.returncode, router.returncode) == (0, 0), said
+                errors.append(process.communicate(timeout=HANG_S)[1])
+    assert (gateway.returncode, router.returncode) == (0, 0), errors
 
 
 @pytest.mark.slow  # of six programs; test_start.py guards that they find each other
@@ -251,18 +251,18 @@ def test_send_and_watch_through_a_standalone_router(line: str, tmp_path: Path) -
 
 @pytest.mark.slow
 def test_the_demo_names_the_cause_flies_on_all_models_and_leaves_everything(tmp_path: Path) -> None:
-    done = _call("demo", "--out", "out", cwd=tmp_path, limit_s=380.0)
+    process = _call("demo", "--out", "out", cwd=tmp_path, limit_s=380.0)
 
-    assert done.returncode == 0, done.stderr
-    assert len(re.findall(r"reference 4\.50 mm: ball at 4\.(?:4[5-9]|5[0-5]) mm", done.stdout)) == 3
-    said = " ".join(done.stdout.split())
-    steps = re.findall(r"the (identified|extended) model cuts it from (\d+) to (\d+) mA rms", said)
+    assert process.returncode == 0, process.stderr
+    assert len(re.findall(r"reference 4\.50 mm: ball at 4\.(?:4[5-9]|5[0-5]) mm", process.stdout)) == 3
+    text = " ".join(process.stdout.split())
+    steps = re.findall(r"the (identified|extended) model cuts it from (\d+) to (\d+) mA rms", text)
     assert [name for name, _, _ in steps] == ["identified", "extended"]
     # Each rest is a mean over REST_SAMPLES of a coloured error of 25 mA rms: a few mA are noise.
     assert float(steps[-1][2]) < 10.0
     # The emulated rig's coil plane is 2.438 mm above the stop, where the nominal model has it.
-    assert re.search(r"Cause: air-gap-offset \(the coil sits 2\.4\d* mm higher", said)
-    assert "the extended twin raises no alarm" in said
+    assert re.search(r"Cause: air-gap-offset \(the coil sits 2\.4\d* mm higher", text)
+    assert "the extended twin raises no alarm" in text
     (log,) = (tmp_path / "out").glob("*.mcap")
     assert (tmp_path / "out" / "measured-vs-twin.png").read_bytes().startswith(b"\x89PNG")
     for report in ("report", "diagnosis"):
@@ -270,7 +270,7 @@ def test_the_demo_names_the_cause_flies_on_all_models_and_leaves_everything(tmp_
     info = _call("info", "--json", log, cwd=tmp_path)
     assert info.returncode == 0
     board = json.loads(info.stdout)["boards"]["board51/demo"]
-    assert [one["who"] for one in board["twin_models"]] == ["", "demo", "demo"]
+    assert [model["who"] for model in board["twin_models"]] == ["", "demo", "demo"]
     assert board["gaps"]["samples_missing"] == 0
     assert _processes_in(tmp_path) == []
 
@@ -280,11 +280,11 @@ def test_an_interrupted_demo_parks_the_ball_and_stops_everything(tmp_path: Path)
     demo = _start("demo", "--out", "out", cwd=tmp_path)
     assert demo.stdout is not None
 
-    seen = any("[1/" in line for line in demo.stdout)  # in the middle of the campaign
+    has_begun = any("[1/" in line for line in demo.stdout)  # in the middle of the campaign
     demo.send_signal(signal.SIGINT)
     _, errors = demo.communicate(timeout=HANG_S)
 
-    assert seen
+    assert has_begun
     assert demo.returncode == 130
     assert "everything stopped" in errors
     assert "Traceback" not in errors
@@ -294,14 +294,14 @@ def test_an_interrupted_demo_parks_the_ball_and_stops_everything(tmp_path: Path)
 
 def _processes_in(folder: Path) -> list[str]:
     """Command lines of the processes that work in `folder`: the demo's all do."""
-    found = []
+    commands = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
             if (process / "cwd").resolve() == folder.resolve():
-                found.append((process / "cmdline").read_text().replace("\0", " "))
+                commands.append((process / "cmdline").read_text().replace("\0", " "))
         except OSError:  # ended meanwhile, or not ours
             continue
-    return found
+    return commands
 
 
 def test_a_fault_of_ours_is_one_line_with_a_code_of_its_own_and_a_traceback_on_demand(

@@ -49,12 +49,12 @@ def compose() -> list[str]:
 def test_the_compose_files_are_valid_and_say_which_services_run(compose: list[str], files: tuple[str, ...]) -> None:
     words = [word for file in files for word in ("-f", file)]
 
-    done = subprocess.run(
+    process = subprocess.run(
         [*compose, *words, "config", "--services"], cwd=ROOT, capture_output=True, text=True, check=False
     )
 
-    assert done.returncode == 0, done.stderr
-    assert set(done.stdout.split()) == (SERVICES - {"emulator"} if TTY in files else SERVICES)
+    assert process.returncode == 0, process.stderr
+    assert set(process.stdout.split()) == (SERVICES - {"emulator"} if TTY in files else SERVICES)
 
 
 def services(file: str) -> dict[str, dict[str, Any]]:
@@ -65,7 +65,7 @@ def services(file: str) -> dict[str, dict[str, Any]]:
 def test_no_service_waits_for_the_emulator_which_a_real_board_replaces() -> None:
     waiting = {name: set(service.get("depends_on", {})) for name, service in services("docker-compose.yml").items()}
 
-    assert not [name for name, others in waiting.items() if "emulator" in others]
+    assert not [name for name, dependencies in waiting.items() if "emulator" in dependencies]
     assert set.union(*waiting.values()) <= SERVICES
 
 
@@ -77,7 +77,7 @@ def test_a_tty_is_open_to_the_gateway_alone_and_the_emulator_stays_off() -> None
     (device,) = gateway["devices"]
     assert gateway["environment"] == {"BOARD51_BOARDS": f"rig1={device.rpartition(':')[2]}"}
     assert gateway["group_add"] == ["${BOARD51_TTY_GROUP:-20}"]
-    assert not any({"devices", "group_add"} & set(one) for one in services("docker-compose.yml").values())
+    assert not any({"devices", "group_add"} & set(service) for service in services("docker-compose.yml").values())
 
 
 @pytest.mark.parametrize("file", [BASE, GUARDED])
@@ -90,8 +90,8 @@ def test_each_service_runs_a_command_that_is_one_and_is_healthy_when_its_port_li
         _, unknown = parser.parse_known_args(words)
         assert unknown == [], name
         ports = base[name].get("ports", [])
-        assert all(one.startswith("127.0.0.1:") for one in ports), name
-        for port in (int(one.rpartition(":")[2]) for one in ports):
+        assert all(mapping.startswith("127.0.0.1:") for mapping in ports), name
+        for port in (int(mapping.rpartition(":")[2]) for mapping in ports):
             assert f":{port:04X} " in base[name]["healthcheck"]["test"][-1], name
             assert any(f":{port}" in word for word in words), name
 
@@ -129,9 +129,9 @@ class Stack:
         )  # fmt: skip
 
     def call(self, *words: str) -> str:
-        done = self.run(*words)
-        assert done.returncode == 0, f"{words}: {done.stdout[-2000:]}{done.stderr[-4000:]}"
-        return done.stdout
+        process = self.run(*words)
+        assert process.returncode == 0, f"{words}: {process.stdout[-2000:]}{process.stderr[-4000:]}"
+        return process.stdout
 
     def board51(self, *words: str) -> str:
         """In the gateway's container."""
@@ -212,14 +212,14 @@ def test_guarded_containers_serve_who_has_an_identity_and_nobody_else(stack: Sta
     stack.call("up", "-d")
     bus = ["--connect", "tls/router:7447"]
     as_ana, as_vic = (["--identity", f"/keys/identities/{name}"] for name in ("ana", "vic"))
-    seen = stack.board51("watch", *bus, *as_vic, "--json", "--topic", "twin/state", "--count", "50", "--timeout", "60")
+    text = stack.board51("watch", *bus, *as_vic, "--json", "--topic", "twin/state", "--count", "50", "--timeout", "60")
     commanded = stack.board51("send", "rig1", "mode", "closed-loop", *bus, *as_ana)
     refused = stack.run("exec", "-T", "gateway", "board51", "send", "rig1", "mode", "closed-loop", *bus, *as_vic)
     stranger = stack.run(
         "exec", "-T", "gateway", "board51", "watch", *bus, "--topic", "state", "--count", "1", "--timeout", "5"
     )
 
-    assert len(seen.splitlines()) == 50
+    assert len(text.splitlines()) == 50
     assert "accepted" in commanded
     assert refused.returncode != 0
     assert "viewer" in refused.stdout + refused.stderr

@@ -28,7 +28,7 @@ LOADED = re.compile(r"<(?:script|img|iframe|link)\b[^>]*?\b(?:src|href)=[\"']?([
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The pages, built as `make docs` builds them."""
     folder = tmp_path_factory.mktemp("site")
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder],
         cwd=ROOT,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
@@ -37,7 +37,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         timeout=HANG_S,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     return folder
 
 
@@ -97,12 +97,12 @@ def test_an_enumeration_of_the_api_has_its_members(site: Path) -> None:
 def test_the_search_works_from_the_file_system(site: Path) -> None:
     with chromium() as browser:
         page = browser.new_page()
-        asked: list[str] = []
-        page.on("request", lambda request: asked.append(request.url))
+        urls: list[str] = []
+        page.on("request", lambda request: urls.append(request.url))
 
         page.goto((site / "index.html").as_uri())
         page.locator(".md-search__input").first.click()
         page.keyboard.type("innovations likelihood")  # it listens to keys
 
         expect(page.locator(".md-search-result__item").first).to_contain_text("likelihood", ignore_case=True)
-        assert not [url for url in asked if not url.startswith(("file:", "data:", "about:", "blob:"))]
+        assert not [url for url in urls if not url.startswith(("file:", "data:", "about:", "blob:"))]

@@ -57,19 +57,19 @@ WITHOUT = [
 
 def _closure(requirements: list[str]) -> set[str]:
     """Names of all distributions that pip would install for them."""
-    found: set[str] = set()
-    wanted = [Requirement(text) for text in requirements]
-    while wanted:
-        requirement = wanted.pop()
-        if requirement.name in found:
+    names: set[str] = set()
+    pending = [Requirement(text) for text in requirements]
+    while pending:
+        requirement = pending.pop()
+        if requirement.name in names:
             continue
-        found.add(requirement.name)
+        names.add(requirement.name)
         for extra in ("", *requirement.extras):
             for text in distribution(requirement.name).requires or ():
                 further = Requirement(text)
                 if further.marker is None or further.marker.evaluate({"extra": extra}):
-                    wanted.append(further)
-    return found
+                    pending.append(further)
+    return names
 
 
 def _environment(folder: Path, requirements: list[str]) -> Path:
@@ -133,23 +133,23 @@ def test_the_gateway_needs_no_extra(core: Path, tmp_path: Path) -> None:
             code = gateway.wait(HANG_S)
     (log,) = (tmp_path / "logs").glob("*.mcap")
 
-    told = _run(core, _words("info", log), tmp_path)
+    process = _run(core, _words("info", log), tmp_path)
 
     assert watched.returncode == 0, watched.stderr
     assert stopped.returncode == 0, stopped.stderr
     assert code == 0
-    assert told.returncode == 0, told.stderr
-    assert "rig1" in told.stdout
+    assert process.returncode == 0, process.stderr
+    assert "rig1" in process.stdout
 
 
 def test_a_board_is_tested_without_an_extra(core: Path, tmp_path: Path) -> None:
     with Emulator(boards=1) as emulator:
         words = _words("selftest", "--board", emulator.urls[0], "--only", "identity", "--only", "converters", "--quick")
 
-        done = _run(core, words, tmp_path)
+        process = _run(core, words, tmp_path)
 
-    assert done.returncode == 0, done.stderr
-    assert "with the extra 'web'" in done.stdout
+    assert process.returncode == 0, process.stderr
+    assert "with the extra 'web'" in process.stdout
     assert len(list((tmp_path / "logs").iterdir())) == 1
 
 
@@ -168,13 +168,13 @@ def test_a_command_without_its_extra_says_what_to_install(core: Path, tmp_path: 
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     (tmp_path / "run.csv").write_text("t,u_c,i_c,x\n0,0,0,0\n0.002,0,0,0\n")
 
-    done = _run(core, ["-c", EACH, json.dumps([words for words, _ in WITHOUT])], tmp_path)
+    process = _run(core, ["-c", EACH, json.dumps([words for words, _ in WITHOUT])], tmp_path)
 
-    assert done.returncode == 0, done.stderr
-    for (words, extra), line in zip(WITHOUT, done.stdout.splitlines(), strict=True):
-        code, said = json.loads(line)
-        assert (code, said.count("\n")) == (2, 1), (words, said)
-        assert f"pip install 'board51[{extra}]'" in said, words
+    assert process.returncode == 0, process.stderr
+    for (words, extra), line in zip(WITHOUT, process.stdout.splitlines(), strict=True):
+        code, message = json.loads(line)
+        assert (code, message.count("\n")) == (2, 1), (words, message)
+        assert f"pip install 'board51[{extra}]'" in message, words
         assert extra in PROJECT["optional-dependencies"]
 
 
@@ -204,6 +204,6 @@ def test_an_extra_has_all_that_its_part_imports(extra: str, packages: list[str],
         "        importlib.import_module(module.name)\n"
     )
 
-    done = _run(python, ["-c", code], tmp_path)
+    process = _run(python, ["-c", code], tmp_path)
 
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr

@@ -40,7 +40,7 @@ def _mat(path: Path) -> None:
     path.write_bytes(head + struct.pack("<II", 15, len(data)) + data)
 
 
-def _one_cell(path: Path) -> None:
+def _huge_cell(path: Path) -> None:
     """A table whose one cell has 50 MB."""
     with gzip.open(path, "wb", compresslevel=1) as file:
         file.write(b"t,x\n0.0,")
@@ -79,7 +79,7 @@ BAD: dict[str, Callable[[Path], object]] = {
     "another table": lambda path: path.write_text('[a]\nb = "c"\n'),
     "another object": lambda path: path.write_text('{"a": [1, 2]}'),
     "control characters": lambda path: path.write_bytes(b"\x1b]0;title\x07,\x1b[2J\n1,2\n"),
-    "one cell": _one_cell,
+    "one cell": _huge_cell,
     "equal rows": _equal_rows,
     "matrix": _mat,
     "large": lambda path: path.write_text('# "'.ljust(100) * 60_000),
@@ -154,15 +154,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (root / "good" / "good.csv").write_text(GOOD_TABLE)
     (root / "good" / "campaign.toml").write_text(CAMPAIGN.format(file="good.csv"))
     for kind, make in kinds().items():
-        place = root / kind / "recording"
-        place.mkdir(parents=True)
+        subfolder = root / kind / "recording"
+        subfolder.mkdir(parents=True)
         make(root / kind / "bad")
-        for copy in (root / kind / "bad.mat", root / kind / "bad.parquet", place / "bad.csv"):
+        for copy in (root / kind / "bad.mat", root / kind / "bad.parquet", subfolder / "bad.csv"):
             if (root / kind / "bad").is_file() and not (root / kind / "bad").is_symlink():
                 copy.hardlink_to(root / kind / "bad")
             else:
                 make(copy)
-        (place / "campaign.toml").write_text(CAMPAIGN.format(file="bad.csv"))
+        (subfolder / "campaign.toml").write_text(CAMPAIGN.format(file="bad.csv"))
     return root
 
 
@@ -170,7 +170,7 @@ def kinds() -> dict[str, Callable[[Path], object]]:
     return BAD if os.geteuid() == 0 else BAD | NOBODY_MAY
 
 
-def said(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:
+def find_problem(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:
     """What is wrong with the answer of this command to a bad argument; "" if nothing."""
     try:
         code = board51.main(words)
@@ -201,7 +201,7 @@ def test_a_file_that_is_none_is_refused_in_one_line(
             for name, path in places.items():
                 word = word.replace(name, str(path))
             words.append(word)
-        if problem := said(capsys, words):
+        if problem := find_problem(capsys, words):
             faults.append(f"{kind}: {problem}")
 
     assert faults == []

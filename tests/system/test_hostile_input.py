@@ -47,7 +47,7 @@ def test_a_file_made_wrong_is_read_or_named(reader: Reader, tmp_path: Path) -> N
 
 
 # What was found, made small.
-FOUND = {
+FINDINGS = {
     "a law that is a list": ("gains", b'{"law": []}'),
     "a gain that no double holds": ("gains", b'law = "pid"\ngains = [1, 2, 1' + b"0" * 400 + b"]\n"),
     "a run without a plant": ("run", b'{"format": 1, "identity": {}, "lift_off_v": null, "recordings": {}}'),
@@ -63,7 +63,7 @@ FOUND = {
 }
 
 
-@pytest.mark.parametrize(("reader", "content"), FOUND.values(), ids=FOUND)
+@pytest.mark.parametrize(("reader", "content"), FINDINGS.values(), ids=FINDINGS)
 def test_what_was_found_is_named(reader: str, content: bytes, tmp_path: Path) -> None:
     path = tmp_path / READERS[reader].file
     path.write_bytes(content)
@@ -86,11 +86,11 @@ def test_a_file_that_was_sealed_with_no_effects_is_named(content: bytes, tmp_pat
 def test_values_of_a_newer_version_and_absurd_times_are_read(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     messages = usual_messages()
-    for _, one in messages:
-        if isinstance(one, pb.State):
-            one.mode = 7  # type: ignore[assignment]  # as a newer gateway may write
-        elif isinstance(one, pb.CaptureRecord):
-            one.sample_time_s = 1e308
+    for _, entry in messages:
+        if isinstance(entry, pb.State):
+            entry.mode = 7  # type: ignore[assignment]  # as a newer gateway may write
+        elif isinstance(entry, pb.CaptureRecord):
+            entry.sample_time_s = 1e308
     write_log(path, messages)
 
     summary = as_text(summarise(path))
@@ -108,7 +108,7 @@ def test_every_command_is_answered_once_and_by_no_error_of_ours(chance: Random) 
     payload = command.SerializeToString()
     replies: list[pb.CommandReply] = []
 
-    rig.ask_bytes(payload if chance.randrange(4) else mutations.binary(chance, payload), replies)
+    rig.send_bytes(payload if chance.randrange(4) else mutations.binary(chance, payload), replies)
     rig.run(200)
 
     assert len(replies) == 1

@@ -55,35 +55,35 @@ def test_a_late_view_lists_the_alarms_of_the_twin_that_last_until_they_end() -> 
 
             raised = wait_for(lasting, "the alarms of the flight, then that of its end", COMPILED_S)
 
-            late = Feed(other.session)
+            second_feed = Feed(other.session)
 
-            def listed_late() -> dict[str, int]:
+            def list_alarms() -> dict[str, int]:
                 gateway.status(BOARD)
-                return active(late)
+                return active(second_feed)
 
-            listed = wait_for(listed_late, "an alarm in a view that came late")
+            listed = wait_for(list_alarms, "an alarm in a view that came late")
             with Served(gateway, OpcuaSettings(port=0)) as server:
-                shown = asyncio.run(shown_by(server.port, gateway, lambda lines: LASTS <= names(lines)))
+                alarm_lines = asyncio.run(read_alarm_list(server.port, gateway, lambda lines: LASTS <= names(lines)))
                 wait_for(lambda: len(early.messages["rig/twin/alarms"]) >= 3, "repeats")
-                board = late.board(BOARD)
+                board = second_feed.board(BOARD)
                 assert board is not None
                 times = {a.times for a in board.alarms() if a.of_twin}
 
         assert listed == raised, "listed with the time at which it was raised"
-        assert all("active, not acknowledged" in line for line in shown if line.partition(":")[0] in LASTS)
+        assert all("active, not acknowledged" in line for line in alarm_lines if line.partition(":")[0] in LASTS)
         assert times == {1}, "a repeated alarm is no new one"
 
         with TwinService(Model.load("ce152"), endpoints=(gateway.endpoint,), settings=QUICK) as another:
             fly(gateway.session, another, Rig(), 100)  # at rest: nothing to be wrong about
-            wait_for(lambda: not active(late), "end of the alarms of a twin that is no more")
-        late.close()
+            wait_for(lambda: not active(second_feed), "end of the alarms of a twin that is no more")
+        second_feed.close()
 
 
 def names(lines: list[str]) -> set[str]:
     return {line.partition(":")[0] for line in lines}
 
 
-async def shown_by(port: int, gateway: PlayedGateway, enough: Callable[[list[str]], bool]) -> list[str]:
+async def read_alarm_list(port: int, gateway: PlayedGateway, enough: Callable[[list[str]], bool]) -> list[str]:
     """Return `alarms/list` of an OPC UA client, once it is `enough`; a gateway sends its status all the while."""
     async with peer(port) as opcua:
 

@@ -36,7 +36,7 @@ def sbom() -> ModuleType:
 
 
 def test_each_installed_package_has_a_licence_that_allows_its_use(sbom: ModuleType) -> None:
-    installed = {one.name: one.licences for one in sbom.packages(LOCK) if one.licences}
+    installed = {package.name: package.licences for package in sbom.packages(LOCK) if package.licences}
     unknown = {
         name: licence
         for name, licences in installed.items()
@@ -53,7 +53,7 @@ def test_the_bill_of_materials_has_every_package_of_the_lock_with_its_hashes(sbo
     pinned = re.findall(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)", LOCK.read_text(encoding="utf-8"), re.MULTILINE)
 
     assert (document["bomFormat"], document["specVersion"]) == ("CycloneDX", "1.6")
-    assert [(one["name"], one["version"]) for one in document["components"]] == pinned
-    assert all(one["hashes"] for one in document["components"])
-    assert len({one["bom-ref"] for one in document["components"]}) == len(pinned)
+    assert [(component["name"], component["version"]) for component in document["components"]] == pinned
+    assert all(component["hashes"] for component in document["components"])
+    assert len({component["bom-ref"] for component in document["components"]}) == len(pinned)
     assert document["metadata"]["component"]["version"] == "1.2.3"

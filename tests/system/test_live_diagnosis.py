@@ -35,11 +35,11 @@ def start(words: list[object], cwd: Path) -> subprocess.Popen[str]:
 
 def call(words: list[object], cwd: Path) -> tuple[int, str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "board51", *map(str, words)],
         cwd=cwd, env=environment, capture_output=True, text=True, timeout=WORK_S, check=False,
     )  # fmt: skip
-    return done.returncode, done.stdout + done.stderr
+    return process.returncode, process.stdout + process.stderr
 
 
 def wait(condition: Callable[[], bool], what: str) -> None:
@@ -62,8 +62,8 @@ class Line:
         return ["--board", "rig", "--connect", self.endpoint]
 
     def send(self, *words: object) -> None:
-        code, said = call(["send", "rig", *words, "--connect", self.endpoint], self.folder)
-        assert code == 0, said
+        code, output = call(["send", "rig", *words, "--connect", self.endpoint], self.folder)
+        assert code == 0, output
 
 
 @pytest.fixture
@@ -97,27 +97,27 @@ def line(tmp_path: Path) -> Iterator[Line]:
 
 @pytest.mark.slow
 def test_a_lasting_alarm_leads_to_a_diagnosis_of_the_flight_and_to_a_quiet_twin(line: Line) -> None:
-    code, said = call(["diagnose", "--live", "1", *line.bus(), "--quick", "--out", "early"], line.folder)
+    code, output = call(["diagnose", "--live", "1", *line.bus(), "--quick", "--out", "early"], line.folder)
     assert code == 2, "nothing was flown yet"
-    assert "0 s of the" in said
-    assert "campaign run" in said
+    assert "0 s of the" in output
+    assert "campaign run" in output
 
     # A campaign is what a good operator would fly; any flight with wide steps does.
     assert call(["campaign", "run", "flown", *line.bus(), "--quick"], line.folder)[0] == 0
     line.send("mode", "closed-loop")
     line.send("reference", "0.002")
     wait(lambda: any(a.name == "diagnosis-wanted" and a.active for a in line.alarms), "request")
-    wanted, *_ = (a for a in line.alarms if a.name == "diagnosis-wanted" and a.active)  # it is repeated
-    assert "board51 diagnose --live" in wanted.text
+    alarm, *_ = (a for a in line.alarms if a.name == "diagnosis-wanted" and a.active)  # it is repeated
+    assert "board51 diagnose --live" in alarm.text
 
     words: list[object] = ["diagnose", "--live", "1.2", *line.bus(), "--quick", "--out", "diagnosis", "--hand-over"]
-    code, said = call(words, line.folder)
+    code, output = call(words, line.folder)
 
-    assert code == 0, said
-    assert "from logs/" in said, "out of the gateway's log, while it is being written"
-    assert "air-gap-offset" in said, "the emulated coil is 2.4 mm above the nominal model's"
-    rms = [float(x) for x in re.findall(r"innovation (?:before|after): +x ([0-9.]+) um", said)]
-    assert len(rms) == 2, said
+    assert code == 0, output
+    assert "from logs/" in output, "out of the gateway's log, while it is being written"
+    assert "air-gap-offset" in output, "the emulated coil is 2.4 mm above the nominal model's"
+    rms = [float(x) for x in re.findall(r"innovation (?:before|after): +x ([0-9.]+) um", output)]
+    assert len(rms) == 2, output
     assert rms[1] < 0.2 * rms[0]
     (folder,) = (line.folder / "diagnosis").glob("live-*")
     assert (folder / "campaign.toml").is_file()

@@ -28,36 +28,40 @@ def lock(file: str = LOCK) -> dict[str, set[str]]:
 
 def requirements_of(package: Distribution, extras: set[str]) -> list[Requirement]:
     """Return what a package asks for here, with these extras of its own."""
-    asked = [Requirement(text) for text in package.requires or []]
-    return [one for one in asked if one.marker is None or any(one.marker.evaluate({"extra": e}) for e in ("", *extras))]
+    requirements = [Requirement(text) for text in package.requires or []]
+    return [
+        requirement
+        for requirement in requirements
+        if requirement.marker is None or any(requirement.marker.evaluate({"extra": e}) for e in ("", *extras))
+    ]
 
 
 def our_requirements() -> list[Requirement]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     parts = [project["project"]["dependencies"], *project["project"]["optional-dependencies"].values()]
     parts += project["dependency-groups"].values()
-    asked = [Requirement(text) for part in parts for text in part]
-    return [one for one in asked if one.name != "board51"]
+    requirements = [Requirement(text) for part in parts for text in part]
+    return [requirement for requirement in requirements if requirement.name != "board51"]
 
 
 def test_each_extra_that_is_asked_for_is_named_in_the_lock() -> None:
     """pip 23 resolves `coverage[toml]>=7` anew where the lock pins `coverage` alone, and then refuses it unhashed."""
     pinned = lock()
-    asked = {"board51": our_requirements()}
+    package_requirements = {"board51": our_requirements()}
     for name, extras in pinned.items():
         try:
-            asked[name] = requirements_of(distribution(name), extras)
+            package_requirements[name] = requirements_of(distribution(name), extras)
         except ModuleNotFoundError:  # for another system or Python
             continue
     missing = [
-        f"{who} asks for {one}, the lock has {name}[{','.join(sorted(pinned.get(name, ())))}]"
-        for who, requirements in asked.items()
-        for one in requirements
-        if not one.extras <= pinned.get(name := canonicalize_name(one.name), set())
+        f"{who} asks for {requirement}, the lock has {name}[{','.join(sorted(pinned.get(name, ())))}]"
+        for who, requirements in package_requirements.items()
+        for requirement in requirements
+        if not requirement.extras <= pinned.get(name := canonicalize_name(requirement.name), set())
     ]
 
     assert missing == []
-    assert len(asked) > 100  # the check saw what is installed
+    assert len(package_requirements) > 100  # the check saw what is installed
 
 
 def pins(file: str) -> dict[str, set[str]]:
@@ -83,14 +87,14 @@ def test_what_runs_is_locked_as_it_was_tested() -> None:
 def test_the_lock_of_what_runs_has_every_part_and_no_tool_of_development() -> None:
     content = tomllib.loads((ROOT / "pyproject.toml").read_text())
     parts = [content["project"]["dependencies"], *content["project"]["optional-dependencies"].values()]
-    asked, tools = (
+    required, tools = (
         {canonicalize_name(Requirement(text).name) for part in some for text in part} - {"board51"}
         for some in (parts, [content["dependency-groups"]["dev"], content["dependency-groups"]["docs"]])
     )
     locked = lock(RUN).keys()
 
-    assert asked <= locked
-    assert (tools - asked) & locked == {"websockets"}  # which uvicorn needs, too
+    assert required <= locked
+    assert (tools - required) & locked == {"websockets"}  # which uvicorn needs, too
 
 
 @pytest.mark.parametrize("file", [LOCK, RUN])

@@ -18,7 +18,7 @@ def test_caches_lie_in_the_clone(target: str, program: str, tmp_path: Path) -> N
     (tmp_path / program).write_text("#!/bin/sh\nenv\n", encoding="utf-8")
     (tmp_path / program).chmod(0o755)
 
-    done = subprocess.run(
+    process = subprocess.run(
         ["make", "--silent", "--no-print-directory", "--assume-old=setup", target, f"BIN={tmp_path}"],
         cwd=ROOT,
         env={**os.environ, **OUTSIDE},
@@ -27,6 +27,6 @@ def test_caches_lie_in_the_clone(target: str, program: str, tmp_path: Path) -> N
         check=True,
     )
 
-    environment = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
+    environment = dict(line.split("=", 1) for line in process.stdout.splitlines() if "=" in line)
     assert all(Path(environment[name]).is_relative_to(ROOT / ".venv") for name in CACHES)
     assert "NUMBA_CACHE_DIR" not in environment

@@ -51,12 +51,12 @@ def builds(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Path]]:
     made = []
     for umask in (0o022, 0o077):
         folder = tmp_path_factory.mktemp("release")
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, ROOT / SCRIPT, folder / "dist", "--uncommitted"],
             cwd=folder, env={**os.environ, "TMPDIR": str(folder)}, umask=umask,
             capture_output=True, text=True, check=False,
         )  # fmt: skip
-        assert done.returncode == 0, done.stderr
+        assert process.returncode == 0, process.stderr
         (wheel,), (sdist,) = (list((folder / "dist").glob(kind)) for kind in ("*.whl", "*.tar.gz"))
         made.append({"wheel": wheel, "sdist": sdist} | {path.name: path for path in (folder / "dist").glob("*.hex")})
     return made
@@ -122,12 +122,12 @@ def test_a_release_of_uncommitted_files_is_refused(tmp_path: Path) -> None:
     git("init", "--quiet", cwd=tmp_path)
     git("add", str(SCRIPT), cwd=tmp_path)
 
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, SCRIPT, "dist"], cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False
     )
 
-    assert done.returncode == 2
-    assert f"A  {SCRIPT}" in done.stderr
+    assert process.returncode == 2
+    assert f"A  {SCRIPT}" in process.stderr
     assert not (tmp_path / "dist").exists()
 
 
@@ -136,7 +136,7 @@ def test_the_version_and_its_date_are_in_the_change_log() -> None:
     released = [heading for heading in headings if heading != "Not yet released"]
 
     assert "Not yet released" not in headings[1:]
-    assert [one for one in released if not re.fullmatch(r"\d+\.\d+\.\d+ \(\d{4}-\d\d-\d\d\)", one)] == []
+    assert [heading for heading in released if not re.fullmatch(r"\d+\.\d+\.\d+ \(\d{4}-\d\d-\d\d\)", heading)] == []
     assert released[0].startswith(f"{VERSION} ")
     assert yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"] == VERSION
 
@@ -156,8 +156,8 @@ def installed(builds: list[dict[str, Path]], tmp_path: Path) -> Path:
         ["--require-hashes", "-r", str(ROOT / "requirements-run.lock")],
         ["--no-index", f"board51[all] @ {builds[0]['wheel'].as_uri()}"],  # needs nothing beyond the lock
     ):
-        done = subprocess.run([*pip, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr[-4000:]
+        process = subprocess.run([*pip, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert process.returncode == 0, process.stderr[-4000:]
     return programs
 
 
@@ -168,19 +168,19 @@ def test_an_empty_environment_flies_a_ball(installed: Path, tmp_path: Path) -> N
     bus = f"tcp/127.0.0.1:{free_port()}"
     surroundings = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
     surroundings["XDG_CACHE_HOME"] = str(tmp_path / "cache")  # nothing is compiled yet
-    told = subprocess.run(
+    version_process = subprocess.run(
         [command, "--version"], cwd=folder, env=surroundings, capture_output=True, text=True, check=True
     )
     begun_s = time.monotonic()
     words = ["start", "--emulated", "--page", f"127.0.0.1:{free_port()}", "--listen", bus, "--no-browser"]
     process = subprocess.Popen([command, *words], cwd=folder, env=surroundings, stdout=subprocess.DEVNULL)
     try:
-        with client(bus) as heard:
-            heard.await_states(1, "rig1")
+        with client(bus) as receiver:
+            receiver.await_states(1, "rig1")
             for order in (["mode", "closed-loop"], ["reference", str(X_REF_M)]):
                 sent = [command, "send", "rig1", *order, "--connect", bus]
                 subprocess.run(sent, cwd=folder, env=surroundings, check=True, timeout=HANG_S)
-            wait_for(lambda: abs(heard.states("rig1")[-1].x_m - X_REF_M) < 1e-4, "a ball that flies")
+            wait_for(lambda: abs(receiver.states("rig1")[-1].x_m - X_REF_M) < 1e-4, "a ball that flies")
             flying_s = time.monotonic() - begun_s
     finally:
         process.send_signal(signal.SIGINT)
@@ -188,6 +188,6 @@ def test_an_empty_environment_flies_a_ball(installed: Path, tmp_path: Path) -> N
 
     # Its twin is not awaited: it compiles its kernels for a minute, and test_compile_command.py compiles them, too.
     print(f"the ball flew {flying_s:.1f} s after `board51 start --emulated`")  # seen with -rP
-    assert told.stdout == f"board51 {VERSION}\n"
+    assert version_process.stdout == f"board51 {VERSION}\n"
     assert code == 0
     assert list((folder / "logs").glob("*.mcap"))

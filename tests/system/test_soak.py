@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from protocol.bus.endpoint import zenoh_config
-from tests.harness.soak.account import BUS_ALONE, DISK_FULL, Account, account_of
+from tests.harness.soak.account import DISK_FULL, PUBLISHED, Account, account_of
 from tests.harness.soak.faults import KINDS, Weather
 from tests.harness.soak.logged import Logged, read_logs
 from tests.harness.soak.processes import BLOCKS, Held, Service, slope
@@ -32,7 +32,7 @@ BOARDS = int(os.environ.get("BOARD51_SOAK_BOARDS", "4"))
 SEED = int(os.environ.get("BOARD51_SOAK_SEED", "1"))
 LOG_QUEUE = 1000 * max(BOARDS, 2)  # messages, of a second or two: a disk is full for longer
 LONG_MIN = 5.0  # from so many minutes on the slopes count
-NEAR_NS = 3_000_000_000
+MARGIN_NS = 3_000_000_000
 CALM_S = 4.0  # before the first fault, and after the last
 
 
@@ -50,31 +50,31 @@ def test_every_sample_is_published_logged_or_lost_for_a_counted_reason(tmp_path:
         print(report(stage, weather, faults, account, logs))
 
         # All at once: a soak that fails by its account still says what grew.
-        assert {what: found for what, found in failures(stage, account, logs).items() if found} == {}
+        assert {what: problems for what, problems in failures(stage, account, logs).items() if problems} == {}
 
 
 def test_python_and_zenoh_see_a_step_of_their_wall_clock(tmp_path: Path) -> None:
     clock = WallClock(tmp_path, "clock")
     if not clock.environment:
         pytest.skip("no gcc, or not Linux")
-    ask = f"""
+    script = f"""
 import time, zenoh
 session = zenoh.open(zenoh.Config.from_json5({zenoh_config("router")!r}))
 while input():
     print(time.time(), session.new_timestamp().get_time().timestamp(), time.monotonic(), flush=True)
 """
-    words, environment = [sys.executable, "-c", ask], os.environ | clock.environment
-    seen = []
+    words, environment = [sys.executable, "-c", script], os.environ | clock.environment
+    readings = []
     with subprocess.Popen(words, stdin=PIPE, stdout=PIPE, env=environment) as process:
         assert process.stdin
         assert process.stdout
         for _ in range(2):
             process.stdin.write(b"now\n")
             process.stdin.flush()
-            seen.append(np.array(process.stdout.readline().split(), np.float64))
+            readings.append(np.array(process.stdout.readline().split(), np.float64))
             clock.step(7200.0)
         process.communicate(b"\n")
-    stepped = seen[1] - seen[0] - (seen[1] - seen[0])[2]
+    stepped = readings[1] - readings[0] - (readings[1] - readings[0])[2]
     assert stepped == pytest.approx([7200.0, 7200.0, 0.0], abs=1.0)
 
 
@@ -82,7 +82,7 @@ def failures(stage: Stage, account: Account, logs: Mapping[int, Logged]) -> dict
     """What is wrong, by what was asked; an empty list is none."""
     lines, counted = account.lines, account.counted_no_sample
     never_killed = range(1, BOARDS, GATEWAYS)  # the counts of a gateway that is killed die with it
-    full = (lines[BUS_ALONE, DISK_FULL], account.counted_dropped["log"])
+    full = (lines[PUBLISHED, DISK_FULL], account.counted_dropped["log"])
     return {
         "unexplained": [*account.unexplained],
         "twice": [*account.twice],
@@ -93,7 +93,7 @@ def failures(stage: Stage, account: Account, logs: Mapping[int, Logged]) -> dict
             (n, s) for n, logged in logs.items() for s, runs in logged.sessions.items() if runs > 1
         ],
         "sum, sensed": [(lines.total(), account.sensed)] if lines.total() != account.sensed else [],
-        "parked, but not off": [who for who, said, off in stage.parked if said and not off],
+        "parked, but not off": [who for who, reported, off in stage.parked if reported and not off],
         "ignored, but not counted": [n for n in never_killed if account.read_but_no_sample[n] > counted[n]],
         "disk full, and counted": [full] if full[0] > full[1] else [],
         # Subscribers keep what they get, and zenoh one handle for each router that has died.
@@ -113,12 +113,12 @@ def report(stage: Stage, weather: Weather, faults: Counter[str], account: Accoun
     lines += [f"counted {dict(account.counted_no_sample)}, dropped {dict(account.counted_dropped)}", ""]
     lines += [f"replayed {account.replayed}, parked (who, said, coil off) {Counter(stage.parked)}"]
     lines += [f"{service.name}: ended with {dict(service.codes)}" for service in [*stage.services, *stage.errands]]
-    for (place, board), (count, begin_ns, end_ns) in unexplained(account).items():
-        near = [o for o in weather.happened if o.begin_ns < end_ns + NEAR_NS and o.end_ns > begin_ns - NEAR_NS]
+    for (location, board), (count, begin_ns, end_ns) in unexplained(account).items():
+        events = [o for o in weather.happened if o.begin_ns < end_ns + MARGIN_NS and o.end_ns > begin_ns - MARGIN_NS]
         lines.append(
-            f"UNEXPLAINED, {place}, rig{board}: {count}, from {begin_ns / 1e9:.3f} to {end_ns / 1e9:.3f} s, near"
+            f"UNEXPLAINED, {location}, rig{board}: {count}, from {begin_ns / 1e9:.3f} to {end_ns / 1e9:.3f} s, near"
         )
-        lines += [f"    {o.name}, {o.target}: {o.begin_ns / 1e9:.3f} to {o.end_ns / 1e9:.3f} s" for o in near]
+        lines += [f"    {o.name}, {o.target}: {o.begin_ns / 1e9:.3f} to {o.end_ns / 1e9:.3f} s" for o in events]
     for service in stage.services:
         lines.append(f"{service.name}: {growth(service)}")
     return "\n".join(lines)
@@ -126,13 +126,13 @@ def report(stage: Stage, weather: Weather, faults: Counter[str], account: Accoun
 
 def unexplained(account: Account) -> dict[tuple[str, int], tuple[int, int, int]]:
     """Place and board -> how many, and the times of the first and the last."""
-    found: dict[tuple[str, int], list[int]] = defaultdict(list)
-    for place, board, _, at_ns in account.unexplained:
-        found[place, board].append(at_ns)
-    return {key: (len(times), min(times), max(times)) for key, times in found.items()}
+    times_ns: dict[tuple[str, int], list[int]] = defaultdict(list)
+    for location, board, _, at_ns in account.unexplained:
+        times_ns[location, board].append(at_ns)
+    return {key: (len(times), min(times), max(times)) for key, times in times_ns.items()}
 
 
-def late_in_life(service: Service) -> list[Held]:
+def steady_usage(service: Service) -> list[Held]:
     """The longest life of a process without its first third, in which it takes what it will need."""
     held = max(service.held, key=len)
     return held[len(held) // 3 :]
@@ -140,7 +140,7 @@ def late_in_life(service: Service) -> list[Held]:
 
 def growth(service: Service) -> str:
     """What it holds at the end, and the slopes."""
-    held = late_in_life(service)
+    held = steady_usage(service)
     if len(held) < 2 * BLOCKS:
         return "too short a life"
     texts = [f"{what} {getattr(held[-1], what):.0f} ({slope(held, what)}/min)" for what in Held._fields[1:]]
@@ -151,7 +151,7 @@ def growth(service: Service) -> str:
 
 def too_much(service: Service) -> str:
     """What a process holds more and more of, if that is certain."""
-    held = late_in_life(service)
+    held = steady_usage(service)
     if len(held) < 60.0 * LONG_MIN / 3.0:
         return ""  # killed too often to tell
     limits = {"resident_mb": 0.5, "handles": 0.2, "threads": 0.2}  # per minute

@@ -9,11 +9,11 @@ import pytest
 
 from gateway.emulator.firmware_model.flash import CURRENT, POSITION
 from tests.harness.soak.account import (
-    BUS_ALONE,
     IGNORED_UNCOUNTED,
     IGNORED_UNSEEN,
-    LOG_ALONE,
+    LOGGED,
     NOWHERE,
+    PUBLISHED,
     account_of,
 )
 from tests.harness.soak.faults import Occurrence
@@ -28,7 +28,7 @@ def test_what_no_fault_explains_and_what_comes_twice_is_seen() -> None:
     ledger, other = Ledger(), Ledger()
     for at_s in range(1, 7):
         ledger.sense()
-        ledger.came(at_s, Fate.TAKEN if at_s < 6 else Fate.SENT)
+        ledger.came(at_s, Fate.RECEIVED if at_s < 6 else Fate.SENT)
         ledger.at_ns[at_s] = at_s * 1_000_000_000
     logged = Logged(samples=[(CURRENT.to_si(n), POSITION.to_si(0)) for n in (1, 2, 3, 3, 9)])
     published = np.array([(0, 1, 0), (0, 4, 0)], np.int64)
@@ -36,8 +36,8 @@ def test_what_no_fault_explains_and_what_comes_twice_is_seen() -> None:
 
     account = account_of([ledger, other], published, {0: logged}, [], GATEWAYS)
 
-    assert [(place, number) for place, _, number, _ in account.unexplained] == [
-        (LOG_ALONE, 2), (LOG_ALONE, 3), (BUS_ALONE, 4),
+    assert [(location, number) for location, _, number, _ in account.unexplained] == [
+        (LOGGED, 2), (LOGGED, 3), (PUBLISHED, 4),
     ]  # fmt: skip
     assert (account.twice, account.invented) == ([(0, 3)], [(0, 9)])
     assert account.lines[NOWHERE, "in the cable when it was unplugged"] == 1
@@ -48,7 +48,7 @@ def test_a_second_hole_beside_a_killed_router_is_seen() -> None:
     ledger = Ledger()
     for number in range(1, 9):
         ledger.sense()
-        ledger.came(number, Fate.TAKEN)
+        ledger.came(number, Fate.RECEIVED)
         ledger.at_ns[number] = number * 100_000_000
     logged = Logged(samples=[(CURRENT.to_si(n), POSITION.to_si(0)) for n in range(1, 9)])
     published = np.array([(0, n, 0) for n in (1, 2, 5, 6, 8)], np.int64)  # 3 was on its way, 4 did not fit the queue
@@ -56,8 +56,8 @@ def test_a_second_hole_beside_a_killed_router_is_seen() -> None:
 
     account = account_of([ledger], published, {0: logged}, [killed], GATEWAYS)
 
-    assert [(place, number) for place, _, number, _ in account.unexplained] == [(LOG_ALONE, 7)]
-    assert account.lines[LOG_ALONE, "no router, or on its way to one that was killed"] == 2
+    assert [(location, number) for location, _, number, _ in account.unexplained] == [(LOGGED, 7)]
+    assert account.lines[LOGGED, "no router, or on its way to one that was killed"] == 2
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_a_kill_explains_what_was_ignored_and_not_yet_logged_and_nothing_beside_
 
     account = account_of([ledger], published, {0: Logged(samples, read)}, [killed], GATEWAYS)
 
-    assert [(place, number) for place, _, number, _ in account.unexplained] == [(NOWHERE, n) for n in unexplained]
+    assert [(location, number) for location, _, number, _ in account.unexplained] == [(NOWHERE, n) for n in unexplained]
     assert account.lines[NOWHERE, IGNORED_UNCOUNTED] == len({*early} - {*unexplained})
     assert account.too_early == []
     assert account.lines.total() == account.sensed == 11
@@ -94,7 +94,7 @@ def test_a_full_disk_explains_what_was_ignored_and_not_what_was_lost() -> None:
 
     account = account_of([ledger], published, {0: Logged()}, [full], GATEWAYS)
 
-    assert [(place, number) for place, _, number, _ in account.unexplained] == [(NOWHERE, 7)]
+    assert [(location, number) for location, _, number, _ in account.unexplained] == [(NOWHERE, 7)]
     assert account.lines[NOWHERE, IGNORED_UNSEEN] == account.read_but_no_sample[0] == 2
 
 
@@ -109,10 +109,10 @@ def test_a_sample_before_the_end_of_a_handshake_is_too_early() -> None:
 
 def test_a_handshake_ends_with_the_answer_to_its_own_hello() -> None:
     ledger = Ledger()
-    steps = ((ledger.asked, 3), (ledger.answered, 2), (ledger.answered, 3), (ledger.asked, 3))
+    steps = ((ledger.note_hello, 3), (ledger.answered, 2), (ledger.answered, 3), (ledger.note_hello, 3))
     for step, hello in steps:  # the last HELLO is a repetition whose answer has come
         step(hello)
-        ledger.came(ledger.sense(), Fate.TAKEN)
+        ledger.came(ledger.sense(), Fate.RECEIVED)
 
     assert list(ledger.early) == [False, True, True, False, False]
 
@@ -120,13 +120,13 @@ def test_a_handshake_ends_with_the_answer_to_its_own_hello() -> None:
 def board_that_was_reset(early: Collection[int], count: int, *, every_ns: int) -> Ledger:
     """The ledger of a board that was reset before the first of these samples and answered HELLO after the last."""
     ledger = Ledger()
-    ledger.asked(1)
+    ledger.note_hello(1)
     ledger.answered(1)
     for n in range(1, count + 1):
         if n == min(early):
             ledger.reset()
-            ledger.asked(2)
-        ledger.came(ledger.sense(), Fate.TAKEN)
+            ledger.note_hello(2)
+        ledger.came(ledger.sense(), Fate.RECEIVED)
         if n == max(early):
             ledger.answered(2)
     for n in range(count + 1):

@@ -21,12 +21,12 @@ import board51
 code = board51.main(sys.argv[1:])
 print(json.dumps([code, sorted(set(sys.modules) - before)]))
 """
-OURS = ("board51", "gateway", "protocol", "twin")
+PROJECT_PACKAGES = ("board51", "gateway", "protocol", "twin")
 
 
 def test_a_stop_of_the_command_line_imports_the_bus_and_no_more() -> None:
     with played_gateway() as gateway:
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", SEND, "send", "rig", "stop", "--connect", gateway.endpoint],
             cwd=ROOT,
             capture_output=True,
@@ -35,12 +35,12 @@ def test_a_stop_of_the_command_line_imports_the_bus_and_no_more() -> None:
             check=True,
         )
 
-    accepted, result = done.stdout.splitlines()
+    accepted, result = process.stdout.splitlines()
     code, modules = json.loads(result)
     packages = {name.partition(".")[0] for name in modules}
     assert (code, accepted) == (0, "accepted, in force from tick 7")
     assert [command.WhichOneof("what") for _, command in gateway.commands] == ["stop"]
-    assert packages - sys.stdlib_module_names <= {*OURS, "zenoh", "google"}
+    assert packages - sys.stdlib_module_names <= {*PROJECT_PACKAGES, "zenoh", "google"}
     assert not {"google.protobuf.json_format", "google.protobuf.descriptor_pb2", "tomllib", "uuid"} & set(modules)
-    assert sum(name.partition(".")[0] in OURS for name in modules) <= 24
+    assert sum(name.partition(".")[0] in PROJECT_PACKAGES for name in modules) <= 24
     assert len(modules) < 125  # 108 with Python 3.11

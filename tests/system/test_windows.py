@@ -39,16 +39,16 @@ def board51(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_every_module_is_imported() -> None:
-    done = windows(str(WINDOWS / "every_module.py"))
+    process = windows(str(WINDOWS / "every_module.py"))
 
-    assert done.returncode == 0, done.stderr
-    assert list(json.loads(done.stdout)) == []
+    assert process.returncode == 0, process.stderr
+    assert list(json.loads(process.stdout)) == []
 
 
 def test_a_pty_is_refused_in_words() -> None:
-    done = board51("emulate", "--pty", "board")
+    process = board51("emulate", "--pty", "board")
 
-    assert (done.returncode, done.stderr) == (
+    assert (process.returncode, process.stderr) == (
         2,
         "board51 emulate: A pty needs Linux or macOS. Give --tcp HOST:PORT instead.\n",
     )
@@ -64,20 +64,20 @@ def test_a_flight_from_start_to_its_log_until_ctrl_break(tmp_path: Path) -> None
         creationflags=GROUP,
     )  # fmt: skip
     try:
-        with client(bus) as heard:
-            wait_for(lambda: heard.messages["rig1/twin/state"], "the twin beside the board")
+        with client(bus) as receiver:
+            wait_for(lambda: receiver.messages["rig1/twin/state"], "the twin beside the board")
             flown = board51("send", "rig1", "mode", "closed-loop", "--connect", bus)
             assert process.stdout is not None
             assert process.stdout.readline() == f"control room  http://127.0.0.1:{page}\n"
         process.send_signal(CTRL_BREAK)
-        _, told = process.communicate(timeout=HANG_S)
+        _, stderr = process.communicate(timeout=HANG_S)
     finally:
         process.kill()
     outputs = "".join(path.read_text() for path in tmp_path.glob("*.out"))
     log = board51("info", *map(str, tmp_path.glob("*.mcap")), "--json")
 
     assert flown.stdout.startswith("accepted"), flown.stderr
-    assert (process.returncode, told) == (0, "everything stopped\n")
+    assert (process.returncode, stderr) == (0, "everything stopped\n")
     assert not listens(page)
     assert "socket://127.0.0.1" in (tmp_path / "emulate.out").read_text()
     assert "Traceback" not in outputs

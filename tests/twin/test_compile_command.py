@@ -35,8 +35,8 @@ def kernels_of(*arguments: object) -> tuple[int, set[str]]:
     compiled: both are in memory then, so the test does not have to compile all of them in an empty folder.
     """
     words = [sys.executable, "-c", LISTING, *map(str, arguments)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=True)
-    code, made = json.loads(done.stdout.splitlines()[-1])
+    process = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=True)
+    code, made = json.loads(process.stdout.splitlines()[-1])
     return code, set(made)
 
 

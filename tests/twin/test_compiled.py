@@ -22,7 +22,7 @@ CALLER = (
 
 
 def outer(folder: Path) -> float:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", "from twin.caller import outer; print(outer(10.0))"],
         cwd=folder,
         env={**{k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}, "PYTHONPATH": str(folder)},
@@ -30,7 +30,7 @@ def outer(folder: Path) -> float:
         text=True,
         check=True,
     )
-    return float(done.stdout)
+    return float(process.stdout)
 
 
 @pytest.mark.slow

@@ -41,9 +41,9 @@ def board(**changes: object) -> pb.Parameters:
 
 
 def numbers(**changes: object) -> LawNumbers:
-    found = law_numbers(board(**changes))
-    assert found is not None
-    return found
+    result = law_numbers(board(**changes))
+    assert result is not None
+    return result
 
 
 def test_lqi_by_hand() -> None:
@@ -96,9 +96,9 @@ def test_the_integral_is_found_from_the_input_that_it_gave() -> None:
     c = numbers()
     u, _ = law(c, 0.62, 3.1e-3, 3.09e-3, 2.5e-5, 3.2e-3)
 
-    found = integral_behind(c, i=0.62, x=3.1e-3, x_prev=3.09e-3, x_ref=3.2e-3, u=u)
+    integral = integral_behind(c, i=0.62, x=3.1e-3, x_prev=3.09e-3, x_ref=3.2e-3, u=u)
 
-    assert found == pytest.approx(2.5e-5, rel=1e-9)
+    assert integral == pytest.approx(2.5e-5, rel=1e-9)
 
 
 def test_a_limited_input_tells_nothing_about_the_integral() -> None:

@@ -134,7 +134,7 @@ def test_inteco_force_constant_is_the_median_of_the_lift_off_ramps() -> None:
     if not folder.exists():
         pytest.skip(f"{folder} is absent; set BOARD51_DATA")
     plant = Model.load("inteco").plant
-    found = []
+    constants = []
     for ramp in sorted(folder.glob("force_*.csv.gz")):
         table = np.genfromtxt(ramp, delimiter=",", names=True)
         gap, current = table["gap_m"], table["i1_A"]
@@ -145,9 +145,9 @@ def test_inteco_force_constant_is_the_median_of_the_lift_off_ramps() -> None:
         if not 4.8e-3 < rest < 19e-3 or len(left) == 0:  # below the sensor's range, or resting on the coil's edge
             continue
         lift_off = float(np.median(current[left[0] - 12 : left[0] - 4]))
-        found.append(
+        constants.append(
             force_constant(mass_kg=plant.mass_kg, gravity_m_s2=plant.gravity_m_s2, gap_m=rest, lift_off_a=lift_off)
         )
 
-    assert len(found) == 15
-    assert abs(float(np.median(found)) / Model.load("inteco").K_c - 1.0) < 1e-3
+    assert len(constants) == 15
+    assert abs(float(np.median(constants)) / Model.load("inteco").K_c - 1.0) < 1e-3

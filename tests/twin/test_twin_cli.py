@@ -85,10 +85,10 @@ def test_the_written_log_holds_the_samples_and_the_twin_and_gives_the_same_bits_
     assert board51.main(["twin", "--log", str(outs[0]), "--out", str(outs[1])]) == 0
 
     topics = ("state", "twin/state", "twin/divergence")
-    one, two = ([(e.topic, e.data) for e in entries(LogReader(out), topics=topics)] for out in outs)
-    assert one == two
-    assert [t for t, _ in one].count("twin/divergence") == 1500
-    assert [t for t, _ in one].count("twin/state") == 1499  # the first sample of a running loop starts nothing yet
+    first, second = ([(e.topic, e.data) for e in entries(LogReader(out), topics=topics)] for out in outs)
+    assert first == second
+    assert [t for t, _ in first].count("twin/divergence") == 1500
+    assert [t for t, _ in first].count("twin/state") == 1499  # the first sample of a running loop starts nothing yet
 
 
 def test_a_log_without_the_law_is_observed_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

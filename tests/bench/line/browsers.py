@@ -79,10 +79,10 @@ async def main(folder: Path, port: int, count: int, boards: int) -> None:
         begun_s = time.monotonic()
         await stop.wait()
         took_s = time.monotonic() - begun_s
-        found = [await page.evaluate("[window.frames_seen, window.longest_ms, window.values_shown]") for page in pages]
+        totals = [await page.evaluate("[window.frames_seen, window.longest_ms, window.values_shown]") for page in pages]
         counts = [
             {"per_s": frames / took_s, "longest_ms": longest, "values_per_s": values / took_s}
-            for frames, longest, values in found
+            for frames, longest, values in totals
         ]
         (folder / "frames.json").write_text(json.dumps(counts), encoding="utf-8")
         await chromium.close()

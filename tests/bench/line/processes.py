@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-HERE = Path(__file__).parent
+SCRIPTS = Path(__file__).parent
 ROOT = Path(__file__).parents[3]
 LISTENS_S = 60.0
 END_S = 60.0

@@ -77,7 +77,7 @@ def run() -> list[dict[str, Any]]:
             _reads(folder) | _serial_thread(folder, frames, bus) | _other_threads(folder, frames, bus),
             lambda n: os.write(board.master, frames[n]),
         )
-    ours = {
+    gateway_us = {
         "read: select, read": us["read"],
         "loop: the port's turn, nothing to write": us["round"] - us["read"],
         "decode: COBS, CRC, counts": us["decode"],
@@ -96,11 +96,11 @@ def run() -> list[dict[str, Any]]:
         "log: rows of state and bytes": us["bare row"],
         "put: state": us["put"],
     }
-    ours["sum"], bare["sum"] = sum(ours.values()), sum(bare.values())
+    gateway_us["sum"], bare["sum"] = sum(gateway_us.values()), sum(bare.values())
     return [
         {"name": f"step: {step}", "value": value, "unit": "us/frame", "baseline": bare.get(step),
          "ratio": value / bare[step] if step in bare else None, "note": "baseline: bare loop"}
-        for step, value in ours.items()
+        for step, value in gateway_us.items()
     ]  # fmt: skip
 
 
@@ -185,9 +185,9 @@ def _streaming(sink: Sink) -> BoardDriver:
     driver.port_opened("none", START_NS * 1e-9)
     for _ in range(8):
         driver.poll(START_NS * 1e-9)
-        asked = driver.output()
-        driver.wrote(len(asked))
-        for command in StreamDecoder().feed(asked):
+        output = driver.output()
+        driver.wrote(len(output))
+        for command in StreamDecoder().feed(output):
             assert isinstance(command, Message)
             driver.received(encode_frame(reply(command, 0, 0)), START_NS)
     return driver

@@ -47,7 +47,7 @@ ana, ben, vic = person("ana"), person("ben"), person("vic")
 
 
 @pytest.fixture(autouse=True)
-def still_at_work(request: pytest.FixtureRequest) -> Iterator[None]:
+def check_service(request: pytest.FixtureRequest) -> Iterator[None]:
     """Whatever was tried: samples go on, and an honest command is accepted."""
     client: Client | None = request.getfixturevalue("witness") if "rig" in request.fixturenames else None
     yield
@@ -65,22 +65,22 @@ def sent_to(board: ScriptedBoard, name: str) -> int:
 
 
 def test_nobody_but_the_gateway_says_what_was_acknowledged(rig: GuardedRig, vic: Client, ana: Client) -> None:
-    heard: list[bytes] = []
-    vic.session.declare_subscriber("board51/*/alarms", lambda sample: heard.append(sample.payload.to_bytes()))
+    received: list[bytes] = []
+    vic.session.declare_subscriber("board51/*/alarms", lambda sample: received.append(sample.payload.to_bytes()))
     with rig.join("gateway") as gateway:
 
         def arrived() -> bool:
             for client, who in ((ana, "forger"), (gateway, "gateway")):
                 message = pb.Alarms(acknowledged=[pb.Acknowledgement(alarm="x", who=who)])
                 client.session.put("board51/rig/alarms", message.SerializeToString())
-            return "gateway" in seen_by(heard)
+            return "gateway" in acknowledging_users(received)
 
         wait_for(arrived, "the gateway's list")
-    assert "forger" not in seen_by(heard)
+    assert "forger" not in acknowledging_users(received)
 
 
-def seen_by(heard: list[bytes]) -> list[str]:
-    return [one.who for data in heard for one in pb.Alarms.FromString(data).acknowledged]
+def acknowledging_users(received: list[bytes]) -> list[str]:
+    return [entry.who for data in received for entry in pb.Alarms.FromString(data).acknowledged]
 
 
 GATEWAY_TOPICS = ("state", "states", "status", "event", "parameters", "alarms", "capture", "command/record")
@@ -88,36 +88,36 @@ GATEWAY_TOPICS = ("state", "states", "status", "event", "parameters", "alarms", 
 
 @pytest.mark.parametrize("spoofer", ["vic", "ben", "ana", "views", "twin"])
 def test_nobody_but_the_gateway_publishes_what_is_the_gateway_s(rig: GuardedRig, vic: Client, spoofer: str) -> None:
-    forged, heard = pb.State(session=FORGED).SerializeToString(), []
-    vic.session.declare_subscriber("board51/**", lambda sample: heard.append(sample.payload.to_bytes()))
+    forged, received = pb.State(session=FORGED).SerializeToString(), []
+    vic.session.declare_subscriber("board51/**", lambda sample: received.append(sample.payload.to_bytes()))
     with rig.join(spoofer) as attacker:
         for topic in GATEWAY_TOPICS:
             attacker.session.put(f"board51/rig/{topic}", forged)
         attacker.session.put("board51/other/state", forged)
-        seen = len(vic.states)
-        wait_for(lambda: len(vic.states) > seen + 50, "real states after the forged ones")
+        count = len(vic.states)
+        wait_for(lambda: len(vic.states) > count + 50, "real states after the forged ones")
 
-    assert len(heard) > 50
-    assert forged not in heard
+    assert len(received) > 50
+    assert forged not in received
 
 
 @pytest.mark.parametrize("topic", GATEWAY_TOPICS)
 def test_a_forged_message_would_have_been_seen(rig: GuardedRig, vic: Client, topic: str) -> None:
-    forged, heard = pb.State(session=FORGED).SerializeToString(), []
-    vic.session.declare_subscriber(f"board51/*/{topic}", lambda sample: heard.append(sample.payload.to_bytes()))
+    forged, received = pb.State(session=FORGED).SerializeToString(), []
+    vic.session.declare_subscriber(f"board51/*/{topic}", lambda sample: received.append(sample.payload.to_bytes()))
     with rig.join("gateway") as holder_of_the_key:
 
         def arrived() -> bool:
             holder_of_the_key.session.put(f"board51/rig/{topic}", forged)
-            return forged in heard
+            return forged in received
 
         wait_for(arrived, "what was put with the gateway's identity")
 
 
 @pytest.mark.parametrize("topic", ["twin/alarm", "twin/alarms"])
 def test_nobody_but_the_twin_publishes_an_alarm(rig: GuardedRig, vic: Client, ana: Client, topic: str) -> None:
-    heard: list[bytes] = []
-    vic.session.declare_subscriber(f"board51/*/{topic}", lambda sample: heard.append(sample.payload.to_bytes()))
+    received: list[bytes] = []
+    vic.session.declare_subscriber(f"board51/*/{topic}", lambda sample: received.append(sample.payload.to_bytes()))
     with rig.join("twin") as twin:
 
         def arrived() -> bool:
@@ -125,10 +125,10 @@ def test_nobody_but_the_twin_publishes_an_alarm(rig: GuardedRig, vic: Client, an
                 alarm = pb.Alarm(name=name, active=True)
                 message = alarm if topic == "twin/alarm" else pb.TwinAlarms(active=[alarm])
                 client.session.put(f"board51/rig/{topic}", message.SerializeToString())
-            return any(b"divergence-x" in data for data in heard)
+            return any(b"divergence-x" in data for data in received)
 
         wait_for(arrived, "the twin's alarm")
-    assert not any(b"forged" in data for data in heard)
+    assert not any(b"forged" in data for data in received)
 
 
 def test_nobody_else_holds_the_token_that_says_alive(vic: Client, ana: Client) -> None:
@@ -144,15 +144,15 @@ def test_nobody_else_holds_the_token_that_says_alive(vic: Client, ana: Client) -
 
 
 def test_a_false_gateway_hears_no_commands(vic: Client, ben: Client) -> None:
-    heard: list[zenoh.Query] = []
+    queries: list[zenoh.Query] = []
     for key in ("board51/rig/command", "board51/rig/command/as/**", "board51/**"):
-        vic.session.declare_queryable(key, heard.append, complete=True)
+        vic.session.declare_queryable(key, queries.append, complete=True)
 
     reply = ben.command(set_mode=CLOSED)
 
     assert reply is not None
     assert reply.accepted
-    assert heard == []
+    assert queries == []
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_nobody_sends_as_somebody_else(rig: GuardedRig, ben: Client, key: str) -
 def test_the_name_in_the_message_counts_for_nothing(ben: Client) -> None:
     command = fresh(who="ana", role="engineer", ping=pb.Ping())
 
-    assert ben.ask(command.SerializeToString())[0].accepted
+    assert ben.request(command.SerializeToString())[0].accepted
 
     record = ben.record_of(command.id)
     assert (record.command.who, record.command.role) == ("ben", "operator")
@@ -205,7 +205,7 @@ def test_a_command_without_the_right_is_refused_and_logged(
     with rig.join(name) as attacker:
         command = fresh(**what)
 
-        (reply,) = attacker.ask(command.SerializeToString())
+        (reply,) = attacker.request(command.SerializeToString())
 
         assert (reply.accepted, reply.refused_by, reply.reason) == (False, "gateway", "not-allowed")
         assert needs in reply.text
@@ -218,7 +218,7 @@ def test_everybody_who_is_let_in_may_stop(rig: GuardedRig) -> None:
     with rig.join("vic") as viewer:
         command = fresh(stop=pb.Stop())
 
-        (reply,) = viewer.ask(command.SerializeToString())
+        (reply,) = viewer.request(command.SerializeToString())
 
         assert reply.accepted, reply.text
         record = viewer.record_of(command.id)
@@ -244,10 +244,10 @@ def test_the_views_send_for_whom_they_have_checked(rig: GuardedRig) -> None:
 
 def test_the_same_bytes_are_executed_once(rig: GuardedRig, ben: Client) -> None:
     payload = fresh(set_mode=CLOSED).SerializeToString()
-    (first,) = ben.ask(payload)
+    (first,) = ben.request(payload)
     before = sent_to(rig.board, "SET_MODE")
 
-    (again,) = ben.ask(payload)
+    (again,) = ben.request(payload)
 
     assert first.accepted
     assert again == first  # what became of it, not once more
@@ -256,10 +256,10 @@ def test_the_same_bytes_are_executed_once(rig: GuardedRig, ben: Client) -> None:
 
 def test_the_same_id_for_something_else_is_refused(ben: Client) -> None:
     command = fresh(ping=pb.Ping())
-    assert ben.ask(command.SerializeToString())[0].accepted
+    assert ben.request(command.SerializeToString())[0].accepted
     command.set_mode.CopyFrom(CLOSED)
 
-    assert ben.ask(command.SerializeToString())[0].reason == "id-reused"
+    assert ben.request(command.SerializeToString())[0].reason == "id-reused"
 
 
 @pytest.mark.parametrize("age_s", [MAX_AGE_S + 1.0, -(MAX_AHEAD_S + 1.0), 1e9, None], ids=str)
@@ -267,7 +267,7 @@ def test_an_old_a_future_and_an_undated_command_are_refused(rig: GuardedRig, ben
     issued_ns = 0 if age_s is None else round(time.time_ns() - age_s * 1e9)
     before = sent_to(rig.board, "SET_MODE")
 
-    (reply,) = ben.ask(fresh(set_mode=CLOSED, issued_ns=issued_ns).SerializeToString())
+    (reply,) = ben.request(fresh(set_mode=CLOSED, issued_ns=issued_ns).SerializeToString())
 
     assert reply.reason == "not-fresh"
     assert sent_to(rig.board, "SET_MODE") == before
@@ -276,7 +276,7 @@ def test_an_old_a_future_and_an_undated_command_are_refused(rig: GuardedRig, ben
 def test_a_wrong_clock_keeps_nobody_from_stop(rig: GuardedRig, ben: Client) -> None:
     before = sent_to(rig.board, "STOP")
 
-    (reply,) = ben.ask(fresh(stop=pb.Stop(), issued_ns=1).SerializeToString())
+    (reply,) = ben.request(fresh(stop=pb.Stop(), issued_ns=1).SerializeToString())
 
     assert reply.accepted
     assert sent_to(rig.board, "STOP") > before
@@ -285,9 +285,9 @@ def test_a_wrong_clock_keeps_nobody_from_stop(rig: GuardedRig, ben: Client) -> N
 def test_a_command_is_not_replayed_to_the_next_gateway(keys: SecurityFolder, tmp_path: Path) -> None:
     with guarded_rig(keys, tmp_path / "one") as rig, rig.join("ben") as ben:
         payload = fresh(set_mode=CLOSED).SerializeToString()
-        assert ben.ask(payload)[0].accepted
+        assert ben.request(payload)[0].accepted
     with guarded_rig(keys, tmp_path / "two") as rig, rig.join("ben") as ben:
-        (reply,) = ben.ask(payload)
+        (reply,) = ben.request(payload)
 
         assert reply.reason == "not-fresh"
         assert sent_to(rig.board, "SET_MODE") == 0
@@ -303,7 +303,7 @@ def test_a_flood_of_one_sender_takes_nothing_from_another(rig: GuardedRig, ana: 
     def flood() -> None:
         while not stop.is_set():
             handlers = [
-                ben.session.get(ben.own_key, payload=payload, timeout=3.0)
+                ben.session.get(ben.command_key, payload=payload, timeout=3.0)
                 for payload in [fresh(ping=pb.Ping()).SerializeToString(), b"\xff"] * 100
             ]
             for handler in handlers:
@@ -319,15 +319,15 @@ def test_a_flood_of_one_sender_takes_nothing_from_another(rig: GuardedRig, ana: 
         states = len(ana.states)
 
         # How fast: tests/bench/reactions.py.  The flood goes on until both are answered.
-        (reply,) = ana.ask(fresh(stop=pb.Stop()).SerializeToString(), timeout_s=HANG_S)
-        (own,) = ben.ask(fresh(stop=pb.Stop()).SerializeToString(), timeout_s=HANG_S)
-        (other,) = ana.ask(fresh(ping=pb.Ping()).SerializeToString(), timeout_s=HANG_S)
+        (reply,) = ana.request(fresh(stop=pb.Stop()).SerializeToString(), timeout_s=HANG_S)
+        (flooder_reply,) = ben.request(fresh(stop=pb.Stop()).SerializeToString(), timeout_s=HANG_S)
+        (other,) = ana.request(fresh(ping=pb.Ping()).SerializeToString(), timeout_s=HANG_S)
     finally:
         stop.set()
         thread.join()
 
     assert reply.accepted
-    assert own.accepted  # STOP of the flooding sender, too
+    assert flooder_reply.accepted  # STOP of the flooding sender, too
     assert other.accepted  # and more than STOP of another
     assert {"malformed", "flood"} <= set(refused)
     assert len(ana.states) > states
@@ -338,7 +338,7 @@ def test_a_flood_of_one_sender_takes_nothing_from_another(rig: GuardedRig, ana: 
 
 @pytest.mark.parametrize("size", [5_000, LARGEST_COMMAND + 1, 1_000_000, LARGEST_MESSAGE + 1_000_000])
 def test_an_oversize_payload_is_refused_or_goes_nowhere(rig: GuardedRig, ben: Client, size: int) -> None:
-    replies = ben.ask(b"\x0a" * size, timeout_s=3.0 if size < LARGEST_COMMAND else 1.0)
+    replies = ben.request(b"\x0a" * size, timeout_s=3.0 if size < LARGEST_COMMAND else 1.0)
 
     assert [reply.reason for reply in replies] == (["oversize"] if size < LARGEST_COMMAND else [])
 
@@ -351,7 +351,7 @@ def test_an_oversize_payload_is_refused_or_goes_nowhere(rig: GuardedRig, ben: Cl
 def test_a_malformed_message_is_refused_and_its_sender_logged(ben: Client, payload: bytes) -> None:
     before = len(ben.records)
 
-    (reply,) = ben.ask(payload)
+    (reply,) = ben.request(payload)
 
     assert reply.refused_by == "gateway"
     assert reply.reason in ("malformed", "bad-id", "empty-command")
@@ -362,7 +362,7 @@ def test_a_malformed_message_is_refused_and_its_sender_logged(ben: Client, paylo
 def test_random_bytes_in_every_key_change_nothing(rig: GuardedRig, ana: Client) -> None:
     keys = ("board51/rig/command/as/engineer/ana/more", "board51/rig/command/as", "board51/rig/command/as/engineer")
     for key in keys:
-        assert ana.ask(b"\x00\x01", key, timeout_s=1.0) == []
+        assert ana.request(b"\x00\x01", key, timeout_s=1.0) == []
 
 
 # -- the log
@@ -370,9 +370,9 @@ def test_random_bytes_in_every_key_change_nothing(rig: GuardedRig, ana: Client) 
 
 def test_the_log_says_who_did_what(keys: SecurityFolder, tmp_path: Path) -> None:
     with guarded_rig(keys, tmp_path) as rig, rig.join("ana") as ana, rig.join("vic") as vic:
-        done, tried = fresh(set_mode=CLOSED, who="somebody"), fresh(set_mode=CLOSED, who="somebody")
-        ana.ask(done.SerializeToString())
-        vic.ask(tried.SerializeToString())
+        allowed, tried = fresh(set_mode=CLOSED, who="somebody"), fresh(set_mode=CLOSED, who="somebody")
+        ana.request(allowed.SerializeToString())
+        vic.request(tried.SerializeToString())
         ana.record_of(tried.id)
 
     records = {
@@ -381,15 +381,15 @@ def test_the_log_says_who_did_what(keys: SecurityFolder, tmp_path: Path) -> None
         for message in (m.message for m in read(log))
         if isinstance(message, pb.CommandRecord)
     }
-    assert (records[done.id].command.who, records[done.id].command.role) == ("ana", "engineer")
-    assert records[done.id].reply.accepted
+    assert (records[allowed.id].command.who, records[allowed.id].command.role) == ("ana", "engineer")
+    assert records[allowed.id].reply.accepted
     assert (records[tried.id].command.who, records[tried.id].command.role) == ("vic", "viewer")
     assert records[tried.id].reply.reason == "not-allowed"
 
 
 def test_on_an_unguarded_bus_nobody_has_a_role() -> None:
     with ScriptedBoard() as board, gateway_and_client(gateway_config(board.url)) as bus:
-        assert bus.ask(pb.Command(id="1", who="eve", role="engineer", ping=pb.Ping()).SerializeToString()).accepted
+        assert bus.request(pb.Command(id="1", who="eve", role="engineer", ping=pb.Ping()).SerializeToString()).accepted
 
         record = wait_for(lambda: bus.messages["rig/command/record"], "record")[0]
     assert (record.command.who, record.command.role) == ("eve", "")

@@ -75,11 +75,11 @@ def test_a_clock_set_forward_does_not_let_in_what_is_older_than_the_gateway() ->
     authorizer, step_s = Authorizer(START_NS, lambda *_: None), 3600
     authorizer.clock_stepped(step_s * S)
     now_ns = START_NS + (step_s + 5) * S  # 5 s after the start
-    found = authorizer.sender("board51/rig/command/as/operator/ben", now_ns, 0.0)
+    command_sender = authorizer.sender("board51/rig/command/as/operator/ben", now_ns, 0.0)
 
-    assert isinstance(found, Sender)
-    assert found.fresh(pb.Command(id="1", issued_ns=now_ns - 6 * S, ping=pb.Ping())) is not None
-    assert found.fresh(pb.Command(id="1", issued_ns=now_ns - 3 * S, ping=pb.Ping())) is None
+    assert isinstance(command_sender, Sender)
+    assert command_sender.fresh(pb.Command(id="1", issued_ns=now_ns - 6 * S, ping=pb.Ping())) is not None
+    assert command_sender.fresh(pb.Command(id="1", issued_ns=now_ns - 3 * S, ping=pb.Ping())) is None
 
 
 @pytest.mark.parametrize(("issued_ns", "fresh"), [(0, True), (1, False), (START_NS + 99 * S, True)])
@@ -87,14 +87,14 @@ def test_on_a_bus_that_is_not_guarded_a_command_may_be_undated_and_nobody_has_a_
     issued_ns: int, fresh: bool
 ) -> None:
     authorizer = Authorizer(START_NS, lambda *_: None, guarded=False)
-    found = authorizer.sender("board51/rig/command", START_NS + 100 * S, 0.0)
+    command_sender = authorizer.sender("board51/rig/command", START_NS + 100 * S, 0.0)
     command = pb.Command(id="1", who="eve", role="engineer", issued_ns=issued_ns, set_gains=pb.SetGains())
 
-    assert isinstance(found, Sender)
-    found.sign(command)
+    assert isinstance(command_sender, Sender)
+    command_sender.sign(command)
 
-    assert (command.who, command.role, found.right(command)) == ("eve", "", None)
-    assert (found.fresh(command) is None) == fresh
+    assert (command.who, command.role, command_sender.right(command)) == ("eve", "", None)
+    assert (command_sender.fresh(command) is None) == fresh
 
 
 def test_ids_are_remembered_for_longer_than_a_command_is_fresh() -> None:
@@ -116,10 +116,10 @@ def test_many_commands_do_not_make_the_desk_forget_one_that_is_still_fresh() -> 
             wait_for(lambda: driver.link == "streaming", "stream")
             for n in (*range(RETAINED_IDS + 50), 0):
                 now_ns = time.time_ns()
-                by = Sender(name="ben", role=Role.OPERATOR, arrived_ns=now_ns, arrived_s=0.0, started_ns=START_NS)
+                ben = Sender(name="ben", role=Role.OPERATOR, arrived_ns=now_ns, arrived_s=0.0, started_ns=START_NS)
                 command = pb.Command(id=str(n), issued_ns=now_ns, set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP))
                 count = len(replies)
-                link.command(driver, command.SerializeToString(), replies.append, by)
+                link.command(driver, command.SerializeToString(), replies.append, ben)
                 wait_for(lambda count=count: len(replies) > count, "reply")  # type: ignore[misc]  # no type for a lambda default
         finally:
             link.stop()
@@ -130,8 +130,8 @@ def test_many_commands_do_not_make_the_desk_forget_one_that_is_still_fresh() -> 
 
 
 def test_one_sender_has_a_share_and_gets_it_back() -> None:
-    told: list[tuple[str, int]] = []
-    authorizer = Authorizer(START_NS, lambda who, count: told.append((who, count)))
+    reports: list[tuple[str, int]] = []
+    authorizer = Authorizer(START_NS, lambda who, count: reports.append((who, count)))
     ben, ana = sender(), sender(name="ana")
 
     refused = [authorizer.flooded(ben, 0.0) for _ in range(round(BURST) + 50)]
@@ -140,12 +140,12 @@ def test_one_sender_has_a_share_and_gets_it_back() -> None:
     assert not authorizer.flooded(ana, 0.0)
     assert authorizer.flooded(ben, 0.0)
     assert not authorizer.flooded(ben, 1.0 / COMMANDS_PER_S + 1e-6)
-    assert told == [("ben", 1)]  # once a second, not once a command
+    assert reports == [("ben", 1)]  # once a second, not once a command
     authorizer.flooded(ben, 1.0)
     for _ in range(round(BURST) + 50):
         authorizer.flooded(ben, 1.5)
-    assert [who for who, _ in told] == ["ben", "ben"]
-    assert told[1][1] > 50
+    assert [who for who, _ in reports] == ["ben", "ben"]
+    assert reports[1][1] > 50
 
 
 def test_invented_names_do_not_fill_the_memory() -> None:
@@ -164,10 +164,10 @@ def test_invented_names_do_not_fill_the_memory() -> None:
      "board51/rig/command/as/OPERATOR/ben"],
 )  # fmt: skip
 def test_a_key_that_does_not_say_who_and_role_is_nobodys(key: str) -> None:
-    found = Authorizer(START_NS, lambda *_: None).sender(key, START_NS, 0.0)
+    refusal = Authorizer(START_NS, lambda *_: None).sender(key, START_NS, 0.0)
 
-    assert isinstance(found, Refusal)
-    assert found.reason == "not-allowed"
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason == "not-allowed"
 
 
 def test_looking_at_a_sender_costs_little() -> None:
@@ -175,9 +175,9 @@ def test_looking_at_a_sender_costs_little() -> None:
     authorizer = Authorizer(START_NS, lambda *_: None)
     begin_s = time.thread_time()
     for n in range(1000):
-        found = authorizer.sender("board51/rig/command/as/operator/ben", START_NS, 0.0)
-        assert isinstance(found, Sender)
-        authorizer.flooded(found, float(n))
+        command_sender = authorizer.sender("board51/rig/command/as/operator/ben", START_NS, 0.0)
+        assert isinstance(command_sender, Sender)
+        authorizer.flooded(command_sender, float(n))
 
     assert time.thread_time() - begin_s < 0.1  # 100 us each; measured: some 5
 

@@ -27,8 +27,8 @@ PATIENCE_S = 0.5  # a router that takes a client takes it within 0.1 s
 
 
 def tls(config: dict[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = config["transport"]["link"]["tls"]
-    return found
+    settings: dict[str, Any] = config["transport"]["link"]["tls"]
+    return settings
 
 
 def wrong_password(config: dict[str, Any], _: Path) -> None:
@@ -62,8 +62,8 @@ def another_authority(config: dict[str, Any], folder: Path) -> None:
 
 
 def self_made(config: dict[str, Any], folder: Path) -> None:
-    _, own = Authority.create("ben", now=datetime.now(UTC))
-    show(config, own, folder)
+    _, issued = Authority.create("ben", now=datetime.now(UTC))
+    show(config, issued, folder)
 
 
 def plain_tcp(config: dict[str, Any], _: Path) -> None:
@@ -120,16 +120,16 @@ def test_a_password_with_the_certificate_of_somebody_else_gets_nothing(
 ) -> None:
     ben, key = keys.identity("ben"), whose.replace("certificate", "key") if "identities" in whose else f"{whose}-key"
 
-    def others(config: dict[str, Any]) -> None:
+    def swap_certificate(config: dict[str, Any]) -> None:
         tls(config)["connect_certificate"] = str(keys.path / f"{whose}.pem")
         tls(config)["connect_private_key"] = str(keys.path / f"{key}.pem")
 
     with guarded_rig(keys, tmp_path, kind=kind) as rig, rig.join("vic") as honest:
-        with join(rig.endpoint, ben, change=others) as client:
+        with join(rig.endpoint, ben, change=swap_certificate) as client:
             assert list(client.session.info.routers_zid()), "the authority signed both, and the password is right"
-            assert client.ask(fresh(stop=pb.Stop()).SerializeToString(), timeout_s=1.0) == []
-            heard = len(honest.states)
-            wait_for(lambda: len(honest.states) > heard + 50, "states for the honest one")
+            assert client.request(fresh(stop=pb.Stop()).SerializeToString(), timeout_s=1.0) == []
+            count = len(honest.states)
+            wait_for(lambda: len(honest.states) > count + 50, "states for the honest one")
 
             assert client.states == []
         assert "STOP" not in rig.board.names()

@@ -72,11 +72,11 @@ def test_a_viewer_that_does_not_read_stalls_nobody_else(keys: SecurityFolder) ->
             assert longest_round_s(publishing, reading, viewer, asks) < STALL_S
 
 
-def ask_twin(client: Client, who: str, board: str = "rig") -> list[pb.CommandReply]:
+def send_twin_command(client: Client, who: str, board: str = "rig") -> list[pb.CommandReply]:
     command = pb.TwinCommand(id="1", who="somebody")
     command.use_model.model_json = "no model"
     key = topics.command_key("board51", board, role=client.identity.role, who=who, topic="twin/command")
-    return client.ask(command.SerializeToString(), key)
+    return client.request(command.SerializeToString(), key)
 
 
 def test_a_twin_takes_models_from_engineers_only(keys: SecurityFolder, caplog: pytest.LogCaptureFixture) -> None:
@@ -94,20 +94,20 @@ def test_a_twin_takes_models_from_engineers_only(keys: SecurityFolder, caplog: p
 
         wait_for(introduced, "the board at the twin")
 
-        (reply,) = ask_twin(ana, "ana")
+        (reply,) = send_twin_command(ana, "ana")
         assert reply.reason == "bad-model"  # it was read: the right is there
         assert "from 'ana'" in caplog.text  # not somebody
-        (for_all,) = ask_twin(ana, "ana", board="*")
+        (for_all,) = send_twin_command(ana, "ana", board="*")
         assert for_all.reason == "bad-model"
-        assert ask_twin(ben, "ben") == []
-        assert ask_twin(ana, "ben") == []
-        assert ana.ask(b"", "board51/rig/twin/command") == []
+        assert send_twin_command(ben, "ben") == []
+        assert send_twin_command(ana, "ben") == []
+        assert ana.request(b"", "board51/rig/twin/command") == []
 
 
 def test_a_guarded_bus_lets_a_twin_see_that_another_serves_its_boards(keys: SecurityFolder) -> None:
     with (
         router(keys) as endpoint,
-        TwinService(Model.load("ce152"), endpoints=(endpoint,), identity=keys.identity("twin")) as one,
+        TwinService(Model.load("ce152"), endpoints=(endpoint,), identity=keys.identity("twin")) as first_twin,
         join(endpoint, keys.identity("gateway")) as gateway,
     ):
 
@@ -115,12 +115,12 @@ def test_a_guarded_bus_lets_a_twin_see_that_another_serves_its_boards(keys: Secu
             gateway.session.put("board51/rig/parameters", pb.Parameters(sample_time_s=0.002).SerializeToString())
             return "rig" in service.boards or service.failure is not None
 
-        wait_for(lambda: parameters_at(one), "the board at the twin")
-        with TwinService(Model.load("ce152"), endpoints=(endpoint,), identity=keys.identity("twin")) as two:
-            wait_for(lambda: parameters_at(two), "an answer of the second twin")
+        wait_for(lambda: parameters_at(first_twin), "the board at the twin")
+        with TwinService(Model.load("ce152"), endpoints=(endpoint,), identity=keys.identity("twin")) as second_twin:
+            wait_for(lambda: parameters_at(second_twin), "an answer of the second twin")
 
-            assert "A twin already serves every board of site board51" in str(two.failure)
-            assert one.failure is None
+            assert "A twin already serves every board of site board51" in str(second_twin.failure)
+            assert first_twin.failure is None
 
 
 # -- commands as a user types them
@@ -168,8 +168,8 @@ def test_a_log_is_not_replayed_as_the_board_by_a_person(rig: GuardedRig) -> None
         count = len(vic.states)
         wait_for(lambda: len(vic.states) > count + 50, "states")
 
-        heard = {str(r.ok.key_expr) for r in vic.session.liveliness().get("board51/*/alive") if r.ok}
-        assert heard == {"board51/rig/alive"}
+        alive_keys = {str(r.ok.key_expr) for r in vic.session.liveliness().get("board51/*/alive") if r.ok}
+        assert alive_keys == {"board51/rig/alive"}
         assert {state.session for state in vic.states} == {old}
 
 
@@ -182,7 +182,7 @@ def test_many_senders_at_once_are_each_known_by_name(rig: GuardedRig) -> None:
             for _ in range(10):
                 command = fresh(ping=pb.Ping(), who="nobody")
                 ids[name].append(command.id)
-                client.ask(command.SerializeToString())
+                client.request(command.SerializeToString())
 
     with rig.join("vic") as vic:
         threads = [threading.Thread(target=work, args=(name,)) for name in names]

@@ -60,5 +60,5 @@ def test_the_table_on_the_page_is_that_of_the_code() -> None:
     page = (Path(__file__).parents[3] / "gateway" / "README.md").read_text(encoding="utf-8")
 
     for role in Role:
-        acts = ", ".join(act for act, least in MINIMUM_ROLE.items() if least is role)
+        acts = ", ".join(act for act, minimum in MINIMUM_ROLE.items() if minimum is role)
         assert f"\n| {role.word} | {acts} |\n" in page

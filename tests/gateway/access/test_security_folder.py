@@ -35,7 +35,7 @@ from tests.harness.ports import free_port
 
 
 @pytest.fixture
-def own(keys: SecurityFolder, tmp_path: Path) -> SecurityFolder:
+def keys_copy(keys: SecurityFolder, tmp_path: Path) -> SecurityFolder:
     """A copy to spoil."""
     shutil.copytree(keys.path, tmp_path / "own")
     return SecurityFolder(tmp_path / "own")
@@ -76,8 +76,8 @@ def test_the_password_of_the_bus_is_not_that_of_the_login(keys: SecurityFolder) 
 
 def test_certificates_are_good_for_what_they_are_used_for(keys: SecurityFolder) -> None:
     def names(path: Path) -> tuple[list[str], list[str]]:
-        found = x509.load_pem_x509_certificate(path.read_bytes())
-        alternative = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        certificate = x509.load_pem_x509_certificate(path.read_bytes())
+        alternative = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         uris = alternative.get_values_for_type(x509.UniformResourceIdentifier)
         return alternative.get_values_for_type(x509.DNSName), uris
 
@@ -90,54 +90,54 @@ def test_a_browser_that_trusts_the_authority_takes_the_pages_certificate(keys: S
     server = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     server.load_cert_chain(*keys.server("hmi"))
     client = ssl.create_default_context(cafile=keys.ca)
-    near, far = socket.socketpair()
-    thread = threading.Thread(target=lambda: server.wrap_socket(far, server_side=True).close())
+    client_end, server_end = socket.socketpair()
+    thread = threading.Thread(target=lambda: server.wrap_socket(server_end, server_side=True).close())
     thread.start()
 
-    with client.wrap_socket(near, server_hostname="127.0.0.1") as line:
+    with client.wrap_socket(client_end, server_hostname="127.0.0.1") as line:
         assert line.version() == "TLSv1.3"
     thread.join()
 
 
-def test_renewing_keeps_passwords_and_people(own: SecurityFolder) -> None:
-    before = {name: own.identity(name) for name in (*SERVICES, *PEOPLE)}
+def test_renewing_keeps_passwords_and_people(keys_copy: SecurityFolder) -> None:
+    before = {name: keys_copy.identity(name) for name in (*SERVICES, *PEOPLE)}
     later = datetime.now(UTC) + timedelta(days=400)
 
-    own.renew(now=later)
+    keys_copy.renew(now=later)
 
     for name, old in before.items():
-        new = own.identity(name)
+        new = keys_copy.identity(name)
         assert (new.password, new.role) == (old.password, old.role)
         assert new.valid_until - old.valid_until > timedelta(days=399)
-    assert min(own.check(now=later).values()) == pytest.approx(DAYS, abs=0.1)
+    assert min(keys_copy.check(now=later).values()) == pytest.approx(DAYS, abs=0.1)
 
 
-def test_who_is_removed_is_nowhere_left(own: SecurityFolder) -> None:
-    own.remove_user("ben")
+def test_who_is_removed_is_nowhere_left(keys_copy: SecurityFolder) -> None:
+    keys_copy.remove_user("ben")
 
-    assert "ben" not in own.people()
-    assert "ben" not in own.passwords.read_text()
-    assert "ben" not in own.router_config.read_text()
-    assert not own.identity_path("ben").exists()
+    assert "ben" not in keys_copy.people()
+    assert "ben" not in keys_copy.passwords.read_text()
+    assert "ben" not in keys_copy.router_config.read_text()
+    assert not keys_copy.identity_path("ben").exists()
     with pytest.raises(UsageError, match=r"ben is not a user.*ana"):
-        own.remove_user("ben")
+        keys_copy.remove_user("ben")
 
 
-def test_a_new_role_reaches_the_rules_of_the_router(own: SecurityFolder) -> None:
-    own.add_user(User(name="ben", role=Role.ENGINEER), PASSWORD)
+def test_a_new_role_reaches_the_rules_of_the_router(keys_copy: SecurityFolder) -> None:
+    keys_copy.add_user(User(name="ben", role=Role.ENGINEER), PASSWORD)
 
-    rules = {rule["id"]: rule for rule in json.loads(own.router_config.read_text())["access_control"]["rules"]}
+    rules = {rule["id"]: rule for rule in json.loads(keys_copy.router_config.read_text())["access_control"]["rules"]}
     assert rules["ben-commands"]["key_exprs"] == [
         "board51/*/command/as/engineer/ben",
         "board51/*/twin/command/as/engineer/ben",
     ]
-    own.check()
+    keys_copy.check()
 
 
 @pytest.mark.parametrize("name", SERVICES)
-def test_the_names_of_services_are_nobodys(own: SecurityFolder, name: str) -> None:
+def test_the_names_of_services_are_nobodys(keys_copy: SecurityFolder, name: str) -> None:
     with pytest.raises(UsageError, match="name of a service"):
-        own.add_user(User(name=name, role=Role.ENGINEER), PASSWORD)
+        keys_copy.add_user(User(name=name, role=Role.ENGINEER), PASSWORD)
 
 
 def test_an_old_folder_is_not_overwritten(keys: SecurityFolder) -> None:
@@ -149,21 +149,21 @@ def test_an_old_folder_is_not_overwritten(keys: SecurityFolder) -> None:
     "name", ["users.toml", "bus/passwords.txt", "bus/router-key.pem", "opcua/server-key.pem", "identities/ben/key.pem",
              "identities/ben/identity.toml", "ca-key.pem"]
 )  # fmt: skip
-def test_a_secret_open_to_others_is_found(own: SecurityFolder, name: str) -> None:
-    (own.path / name).chmod(0o640)
+def test_a_secret_open_to_others_is_found(keys_copy: SecurityFolder, name: str) -> None:
+    (keys_copy.path / name).chmod(0o640)
 
     with pytest.raises(ConfigError, match=r"open to others \(mode 0640\).*chmod 600"):
-        own.check()
+        keys_copy.check()
 
 
 @pytest.mark.parametrize("name", ["ca.pem", "bus/router.pem", "identities/ana/certificate.pem"])
-def test_a_certificate_that_is_none_is_found(own: SecurityFolder, name: str) -> None:
-    (own.path / name).write_text("nonsense")
+def test_a_certificate_that_is_none_is_found(keys_copy: SecurityFolder, name: str) -> None:
+    (keys_copy.path / name).write_text("nonsense")
     with pytest.raises(ConfigError, match=r"not a certificate in PEM"):
-        own.check()
-    (own.path / name).unlink()
+        keys_copy.check()
+    (keys_copy.path / name).unlink()
     with pytest.raises(ConfigError, match=r"cannot be read: No such file"):
-        own.check()
+        keys_copy.check()
 
 
 def test_an_expired_certificate_is_named_with_its_day(keys: SecurityFolder) -> None:
@@ -176,60 +176,60 @@ def test_an_expired_certificate_is_named_with_its_day(keys: SecurityFolder) -> N
         check_certificate(certificate, what="The certificate", now=datetime(2001, 1, 1, tzinfo=UTC))
 
 
-def test_a_role_that_differs_between_login_and_bus_is_found(own: SecurityFolder) -> None:
-    text = own.users.read_text()
-    own.users.write_text(text.replace('role = "operator"', 'role = "engineer"'))
+def test_a_role_that_differs_between_login_and_bus_is_found(keys_copy: SecurityFolder) -> None:
+    text = keys_copy.users.read_text()
+    keys_copy.users.write_text(text.replace('role = "operator"', 'role = "engineer"'))
 
     with pytest.raises(ConfigError, match=r"ben is engineer in users.toml and operator on the bus.*renew"):
-        own.check()
+        keys_copy.check()
 
 
 # -- the gateway that uses it
 
 
-def guarded(own: SecurityFolder, listen: str) -> GatewayConfig:
+def guarded(keys_copy: SecurityFolder, listen: str) -> GatewayConfig:
     config = gateway_config("/dev/null")
-    return replace(config, zenoh=ZenohConfig(listen=(listen,)), security=SecurityConfig(directory=str(own.path)))
+    return replace(config, zenoh=ZenohConfig(listen=(listen,)), security=SecurityConfig(directory=str(keys_copy.path)))
 
 
-def test_a_gateway_does_not_start_with_an_expired_certificate(own: SecurityFolder) -> None:
-    own.renew(days=-1)
+def test_a_gateway_does_not_start_with_an_expired_certificate(keys_copy: SecurityFolder) -> None:
+    keys_copy.renew(days=-1)
 
     with pytest.raises(ConfigError, match=r"expired on .*security renew"):
-        daemon.run(guarded(own, f"tls/127.0.0.1:{free_port()}"), threading.Event())
+        daemon.run(guarded(keys_copy, f"tls/127.0.0.1:{free_port()}"), threading.Event())
 
 
-def test_a_gateway_says_that_certificates_must_be_renewed(own: SecurityFolder, tmp_path: Path) -> None:
-    own.renew(days=7.2)
+def test_a_gateway_says_that_certificates_must_be_renewed(keys_copy: SecurityFolder, tmp_path: Path) -> None:
+    keys_copy.renew(days=7.2)
 
     with ScriptedBoard() as board:
-        config = guarded(own, f"tls/127.0.0.1:{free_port()}")
+        config = guarded(keys_copy, f"tls/127.0.0.1:{free_port()}")
         config = replace(config, boards=(replace(config.boards[0], port=board.url),))
         logs = tmp_path / "logs"
         config = replace(config, log=LogConfig(directory=str(logs), min_free_bytes=0, compression="none"))
 
-        def told() -> bool:
+        def is_reported() -> bool:
             return any(
                 b"certificate of bus/router expires in 7 days" in log.read_bytes() for log in logs.glob("*.mcap")
             )
 
         with running(config):
-            wait_for(told, "event in the log", 60.0)
+            wait_for(is_reported, "event in the log", 60.0)
 
-    (own.path / "bus" / "router.pem").write_text("")
+    (keys_copy.path / "bus" / "router.pem").write_text("")
     assert "not a certificate" in daemon.expiring(config)[0]
 
 
-def test_a_gateway_does_not_start_with_a_key_open_to_others(own: SecurityFolder) -> None:
-    (own.path / "bus" / "router-key.pem").chmod(0o644)
+def test_a_gateway_does_not_start_with_a_key_open_to_others(keys_copy: SecurityFolder) -> None:
+    (keys_copy.path / "bus" / "router-key.pem").chmod(0o644)
 
     with pytest.raises(ConfigError, match=r"open to others"):
-        daemon.run(guarded(own, f"tls/127.0.0.1:{free_port()}"), threading.Event())
+        daemon.run(guarded(keys_copy, f"tls/127.0.0.1:{free_port()}"), threading.Event())
 
 
-def test_a_gateway_of_another_site_does_not_start(own: SecurityFolder) -> None:
+def test_a_gateway_of_another_site_does_not_start(keys_copy: SecurityFolder) -> None:
     with pytest.raises(ConfigError, match=r"guards the site board51, the gateway serves lab"):
-        daemon.check(replace(guarded(own, "tls/127.0.0.1:1"), site="lab"))
+        daemon.check(replace(guarded(keys_copy, "tls/127.0.0.1:1"), site="lab"))
 
 
 def test_a_gateway_without_keys_does_not_listen_with_tls() -> None:
@@ -282,15 +282,15 @@ def test_the_identity_comes_from_flag_then_environment(keys: SecurityFolder) -> 
         ('name = "ana"\nrole = "viewer"\npassword = "x"\nvalid_until = 3', r"has no valid_until"),
     ],
 )
-def test_a_folder_that_is_no_identity_is_named(own: SecurityFolder, text: str | None, message: str) -> None:
-    file = own.identity_path("ana") / "identity.toml"
+def test_a_folder_that_is_no_identity_is_named(keys_copy: SecurityFolder, text: str | None, message: str) -> None:
+    file = keys_copy.identity_path("ana") / "identity.toml"
     file.unlink()
     if text is not None:
         file.write_text(text)
         file.chmod(0o600)
 
     with pytest.raises(ConfigError, match=message):
-        own.identity("ana")
+        keys_copy.identity("ana")
 
 
 # -- the command
@@ -362,12 +362,12 @@ def test_the_configuration_for_other_languages_is_its_owner_s_alone(keys: Securi
     assert zenoh.Config.from_json5(piped.stdout).get_json("transport/auth/usrpwd/user") == '"ben"'
 
 
-def test_a_password_printed_into_an_open_file_is_said(own: SecurityFolder, tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "board51", "security", "add-user", str(own.path), "eva:viewer"]
+def test_a_password_printed_into_an_open_file_is_said(keys_copy: SecurityFolder, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "board51", "security", "add-user", str(keys_copy.path), "eva:viewer"]
 
     with (tmp_path / "out").open("wb") as out:
         (tmp_path / "out").chmod(0o644)
-        said = subprocess.run(words, stdout=out, stderr=subprocess.PIPE, text=True, check=False)
+        process = subprocess.run(words, stdout=out, stderr=subprocess.PIPE, text=True, check=False)
 
-    assert said.returncode == 0
-    assert "others may read the password of eva" in said.stderr
+    assert process.returncode == 0
+    assert "others may read the password of eva" in process.stderr

@@ -100,7 +100,7 @@ def test_invented_names_and_addresses_do_not_fill_the_memory() -> None:
 
 
 @pytest.mark.parametrize(
-    ("host", "place"),
+    ("host", "source"),
     [
         ("10.0.0.7", "10.0.0.7"),
         ("::ffff:10.0.0.7", "10.0.0.7"),
@@ -111,5 +111,5 @@ def test_invented_names_and_addresses_do_not_fill_the_memory() -> None:
         ("", ""),
     ],
 )
-def test_a_source_is_what_one_machine_has_of_addresses(host: str, place: str) -> None:
-    assert network(host) == place
+def test_a_source_is_what_one_machine_has_of_addresses(host: str, source: str) -> None:
+    assert network(host) == source

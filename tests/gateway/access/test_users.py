@@ -113,10 +113,10 @@ def test_a_file_open_to_others_is_refused(path: Path) -> None:
     ],
 )
 def test_a_mistake_in_the_file_is_named_with_its_key(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message) as told:
+    with pytest.raises(ConfigError, match=message) as error:
         Users(write(tmp_path / "users.toml", text))
 
-    assert "scrypt" not in str(told.value)
+    assert "scrypt" not in str(error.value)
 
 
 def test_an_absent_file_says_what_makes_one(tmp_path: Path) -> None:

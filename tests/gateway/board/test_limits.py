@@ -93,7 +93,7 @@ def test_the_reference_stays_within_configuration_and_board() -> None:
 
 
 @pytest.mark.parametrize(
-    ("limits", "x_ref_m", "said"),
+    ("limits", "x_ref_m", "expected"),
     [
         ({}, 9e-3, "x_ref = 9 mm is outside the gateway's limits, 0.3 mm .. 5.2 mm."),
         ({"x_ref_step_m": 0.1}, 4.6e-3, "x_ref = 4.6005 mm is outside the board's limits, 0.3 mm .. 4.5 mm."),
@@ -101,7 +101,7 @@ def test_the_reference_stays_within_configuration_and_board() -> None:
     ],
 )
 def test_a_refused_reference_is_told_in_mm_and_in_the_range_that_holds(
-    limits: dict[str, float], x_ref_m: float, said: str
+    limits: dict[str, float], x_ref_m: float, expected: str
 ) -> None:
     gate, view = Gate(LimitsConfig(**limits)), replace(VIEW, scaling=SCALING)
     command = pb.Command(id="a", **reference(x_ref_m))
@@ -113,7 +113,7 @@ def test_a_refused_reference_is_told_in_mm_and_in_the_range_that_holds(
         refusal = gate.check(command, wire, view, 0.0)
 
     assert refusal is not None
-    assert said in refusal.text
+    assert expected in refusal.text
 
 
 def test_the_allowance_for_jumps_refills_with_time() -> None:
@@ -271,12 +271,12 @@ def test_a_bucket_never_holds_more_than_its_size() -> None:
 
 
 @pytest.mark.parametrize(
-    ("least_s", "timeout_s", "reason"), [(1.0, 0.05, "out-of-range"), (1.0, 1.0, ""), (0.05, 0.05, "")]
+    ("minimum_s", "timeout_s", "reason"), [(1.0, 0.05, "out-of-range"), (1.0, 1.0, ""), (0.05, 0.05, "")]
 )
 def test_a_host_loss_time_out_that_this_computer_cannot_hold_is_refused_with_both_numbers(
-    least_s: float, timeout_s: float, reason: str
+    minimum_s: float, timeout_s: float, reason: str
 ) -> None:
-    gate = Gate(LimitsConfig(host_loss_min_s=least_s))
+    gate = Gate(LimitsConfig(host_loss_min_s=minimum_s))
     command = pb.Command(id="a", set_host_loss=pb.SetHostLoss(policy=1, timeout_s=timeout_s))
     wire = to_wire(command, SCALING)
     assert isinstance(wire, WireCommand)
@@ -284,4 +284,4 @@ def test_a_host_loss_time_out_that_this_computer_cannot_hold_is_refused_with_bot
     refusal = gate.check(command, wire, VIEW, 0.0)
 
     assert (refusal.reason if refusal else "") == reason
-    assert refusal is None or all(f"{value:g} s" in refusal.text for value in (least_s, timeout_s))
+    assert refusal is None or all(f"{value:g} s" in refusal.text for value in (minimum_s, timeout_s))

@@ -25,8 +25,8 @@ from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag, Mode
 from tests.gateway.board.test_limits import SCALING, VIEW, excite, reference
 
-SAID_VIEW = replace(VIEW, scaling=SCALING)
-OPEN, IDLE = replace(SAID_VIEW, mode=Mode.OPEN_LOOP), replace(SAID_VIEW, mode=Mode.IDLE)
+SCALED_VIEW = replace(VIEW, scaling=SCALING)
+OPEN, IDLE = replace(SCALED_VIEW, mode=Mode.OPEN_LOOP), replace(SCALED_VIEW, mode=Mode.IDLE)
 
 
 def answer(limits: LimitsConfig, view: BoardView, **what: Any) -> Refusal | None:
@@ -42,7 +42,7 @@ def form(**fields: Any) -> str:
 
 
 @pytest.mark.parametrize(
-    ("most", "field", "reason"),
+    ("max_length", "field", "reason"),
     [
         (MAX_ID, lambda text: {"id": text, "ping": pb.Ping()}, "bad-id"),
         (MAX_WHO, lambda text: {"who": text, "ping": pb.Ping()}, "bad-who"),
@@ -51,14 +51,14 @@ def form(**fields: Any) -> str:
         (MAX_ALARM, lambda text: {"acknowledge": pb.Acknowledge(alarm=text)}, "malformed"),
     ],
 )
-def test_a_text_may_be_as_long_as_its_bound_and_no_longer(most: int, field: Any, reason: str) -> None:
+def test_a_text_may_be_as_long_as_its_bound_and_no_longer(max_length: int, field: Any, reason: str) -> None:
     assert form(**field("x")) == ""
-    assert form(**field("x" * most)) == ""
-    refused = form(**field("x" * (most + 1)))
+    assert form(**field("x" * max_length)) == ""
+    refused = form(**field("x" * (max_length + 1)))
 
     assert refused.startswith(reason)
-    assert f" {most}" in refused
-    assert f" {most + 1}" in refused
+    assert f" {max_length}" in refused
+    assert f" {max_length + 1}" in refused
 
 
 def test_an_alarm_without_a_name_is_malformed() -> None:
@@ -101,14 +101,14 @@ def _varint(value: int) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("what", "said"),
+    ("what", "field"),
     [
         ({"set_reference": pb.SetReference(x_ref_m=float("nan"))}, "set_reference.x_ref_m"),
         ({"excite": pb.Excite(duration_s=float("inf"))}, "excite.duration_s"),
     ],
 )
-def test_a_number_that_is_none_is_told_with_its_field(what: dict[str, Any], said: str) -> None:
-    assert form(**what) == f"not-finite: {said} is not a finite number."
+def test_a_number_that_is_none_is_told_with_its_field(what: dict[str, Any], field: str) -> None:
+    assert form(**what) == f"not-finite: {field} is not a finite number."
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ CONFIGURED, OF_BOARD = "is outside the gateway's limits,", "is outside the board
 
 
 @pytest.mark.parametrize(
-    ("view", "limits", "what", "said"),
+    ("view", "limits", "what", "expected"),
     [
         (VIEW, {"gain_max": 5.0}, {"set_gains": pb.SetGains(gains=[0, 6, 0, 0])}, "Gain 2 = 6 is above gain_max 5."),
         (
@@ -144,19 +144,19 @@ CONFIGURED, OF_BOARD = "is outside the gateway's limits,", "is outside the board
             " to 1 mm.",
         ),
         (
-            SAID_VIEW,
+            SCALED_VIEW,
             {"x_ref_min_m": 1e-3, "x_ref_max_m": 4e-3},
             excite(on_reference=True, offset=1.1e-3, amplitude=0.6e-3),
             f"the lowest x_ref = 0.5 mm {CONFIGURED} 1 mm .. 4 mm.",
         ),
         (
-            SAID_VIEW,
+            SCALED_VIEW,
             {"x_ref_min_m": 1e-3, "x_ref_max_m": 4e-3},
             excite(on_reference=True, offset=3.9e-3, amplitude=-0.6e-3),
             f"the highest x_ref = 4.5 mm {CONFIGURED} 1 mm .. 4 mm.",
         ),
         (
-            SAID_VIEW,
+            SCALED_VIEW,
             {"x_ref_max_m": 9e-3},
             excite(on_reference=True, offset=4.2e-3, amplitude=0.6e-3),
             f"offset -+ amplitude = 4.8 mm {OF_BOARD} 0.3 mm .. 4.5 mm.",
@@ -201,12 +201,12 @@ CONFIGURED, OF_BOARD = "is outside the gateway's limits,", "is outside the board
     ],
 )
 def test_a_refusal_says_value_bound_and_unit(
-    view: BoardView, limits: dict[str, float], what: dict[str, Any], said: str
+    view: BoardView, limits: dict[str, float], what: dict[str, Any], expected: str
 ) -> None:
     refusal = answer(LimitsConfig(**limits), view, **what)
 
     assert refusal is not None
-    assert refusal.text == said
+    assert refusal.text == expected
 
 
 def test_a_fault_and_an_unknown_level_are_told_with_what_to_do() -> None:

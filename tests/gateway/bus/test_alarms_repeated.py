@@ -25,8 +25,8 @@ from tests.harness.gateway.gateway_peers import (
 
 
 def newest(bus: Bus) -> pb.Alarms:
-    told: list[pb.Alarms] = bus.messages["rig/alarms"]
-    return told[-1] if told else pb.Alarms()
+    alarms: list[pb.Alarms] = bus.messages["rig/alarms"]
+    return alarms[-1] if alarms else pb.Alarms()
 
 
 def active(bus: Bus) -> dict[str, int]:
@@ -49,11 +49,11 @@ def test_a_link_that_is_down_says_since_when_and_why(tmp_path: Path) -> None:
     config = gateway_config(str(tmp_path / "nothing"))
     with running(config), client(config.zenoh.listen[0]) as early:
         since = wait_for(lambda: active(early).get(LINK), "link-down")
-        with client(config.zenoh.listen[0]) as late:
-            wait_for(lambda: newest(late).active, "link-down for who came late")
+        with client(config.zenoh.listen[0]) as newcomer:
+            wait_for(lambda: newest(newcomer).active, "link-down for who came late")
 
-            assert active(late) == {LINK: since}
-            assert "nothing" in newest(late).active[0].text
+            assert active(newcomer) == {LINK: since}
+            assert "nothing" in newest(newcomer).active[0].text
 
 
 @pytest.mark.slow
@@ -124,16 +124,16 @@ def test_an_acknowledgement_is_an_event_a_record_and_kept(tmp_path: Path) -> Non
             shelved = bus.command("c", acknowledge=pb.Acknowledge(alarm="innovation", shelve_s=600.0))
             too_long = bus.command("d", acknowledge=pb.Acknowledge(alarm="innovation", shelve_s=1e6))
             event = bus.await_event("acknowledged")
-            with client(config.zenoh.listen[0]) as late:
-                wait_for(lambda: len(newest(late).acknowledged) > 1, "acknowledgements for who came late")
-                retained = list(newest(late).acknowledged)
+            with client(config.zenoh.listen[0]) as newcomer:
+                wait_for(lambda: len(newest(newcomer).acknowledged) > 1, "acknowledgements for who came late")
+                retained = list(newest(newcomer).acknowledged)
 
     assert first.accepted
     assert second.accepted
     assert event.text == "test: divergence-x cold coil"
     assert shelved.accepted
     assert (too_long.accepted, too_long.reason) == (False, "out-of-range")
-    assert [(one.alarm, one.who, one.comment, one.shelve_s) for one in retained] == [
+    assert [(entry.alarm, entry.who, entry.comment, entry.shelve_s) for entry in retained] == [
         ("divergence-x", "test", "", 0.0),  # the latest of a name
         ("innovation", "test", "", 600.0),
     ]
@@ -160,12 +160,12 @@ def test_an_acknowledgement_that_cannot_be_kept_is_refused(what: pb.Acknowledge,
 def test_it_is_told_on_change_and_every_five_seconds() -> None:
     standing, wrong = Standing(), {LINK: Condition(text="out")}
 
-    told = [
+    alarms = [
         standing.due_message(holding, [], host_ns=1000 + n, now_s=at_s)
         for n, (holding, at_s) in enumerate(
             [({}, 0.0), ({}, 1.0), (wrong, 2.0), (wrong, 3.0), (wrong, 2.0 + EVERY_S), ({}, 8.0)]
         )
     ]
 
-    assert [message is not None for message in told] == [True, False, True, False, True, True]
-    assert [a.host_time_ns for m in told if m is not None for a in m.active] == [1002, 1002], "when it was first seen"
+    assert [message is not None for message in alarms] == [True, False, True, False, True, True]
+    assert [a.host_time_ns for m in alarms if m is not None for a in m.active] == [1002, 1002], "when it was first seen"

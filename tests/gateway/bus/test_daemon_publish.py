@@ -17,12 +17,12 @@ class Gated:
     def __init__(self) -> None:
         self.gate = threading.Event()
         self.entered = threading.Event()
-        self.taken: list[bytes] = []
+        self.received: list[bytes] = []
 
     def put(self, payload: bytes, /) -> None:
         self.entered.set()
         self.gate.wait(HANG_S)
-        self.taken.append(payload)
+        self.received.append(payload)
 
 
 def payloads(start: int, end: int) -> list[bytes]:
@@ -38,13 +38,13 @@ def test_a_stalled_bus_costs_the_oldest_and_the_caller_nothing() -> None:
 
     for n in range(0, 10_000, 10):
         publisher.put(channel, payloads(n, n + 10))
-    waiting, dropped, meanwhile = channel.waiting, channel.dropped, list(target.taken)
+    waiting, dropped, meanwhile = channel.waiting, channel.dropped, list(target.received)
     target.gate.set()
-    wait_for(lambda: len(target.taken) == 101, "rest of the queue")
+    wait_for(lambda: len(target.received) == 101, "rest of the queue")
 
     assert meanwhile == []  # 1000 calls came back from a bus that took nothing
     assert (waiting, dropped) == (100, 9900)
-    assert target.taken == [*payloads(0, 1), *payloads(9900, 10_000)]
+    assert target.received == [*payloads(0, 1), *payloads(9900, 10_000)]
     publisher.stop()
 
 
@@ -71,7 +71,7 @@ def test_what_waits_is_put_before_the_end() -> None:
     publisher.start()
     publisher.stop(patience_s=10.0)
 
-    assert target.taken == payloads(0, 500)
+    assert target.received == payloads(0, 500)
 
 
 def test_a_stalled_bus_does_not_hold_up_the_end() -> None:
@@ -82,7 +82,7 @@ def test_a_stalled_bus_does_not_hold_up_the_end() -> None:
     assert target.entered.wait(HANG_S)
     publisher.stop(patience_s=0.2)
 
-    assert target.taken == []  # it is still stalled
+    assert target.received == []  # it is still stalled
     target.gate.set()
 
 
@@ -101,11 +101,11 @@ def test_after_a_pause_nothing_is_dropped_until_the_thread_has_taken_what_waited
         publisher.put(channel, payloads(n, n + 1))
     just_after = channel.dropped
     publisher.start()
-    wait_for(lambda: target.taken[-1:] == payloads(119, 120), "what waited")
+    wait_for(lambda: target.received[-1:] == payloads(119, 120), "what waited")
     publisher.stop()
 
     assert at_the_end == just_after == 10
-    assert target.taken == payloads(10, 120)
+    assert target.received == payloads(10, 120)
 
 
 def test_gathered_payloads_are_one_message_per_channel_in_order_and_of_bounded_length() -> None:
@@ -121,12 +121,12 @@ def test_gathered_payloads_are_one_message_per_channel_in_order_and_of_bounded_l
         target.gate.set()
 
     publisher.hold(held=False)
-    wait_for(lambda: len(first.taken) == 2 and second.taken, "the batches")
+    wait_for(lambda: len(first.received) == 2 and second.received, "the batches")
 
     assert waiting == [500, 100]
-    assert b",".join(first.taken).split(b",") == [*payloads(0, 200)[::2], *payloads(200, 600)]
-    assert [message.count(b",") + 1 for message in first.taken] == [LONGEST_BATCH, 500 - LONGEST_BATCH]
-    assert second.taken == [b",".join(payloads(0, 200)[1::2])]
+    assert b",".join(first.received).split(b",") == [*payloads(0, 200)[::2], *payloads(200, 600)]
+    assert [message.count(b",") + 1 for message in first.received] == [LONGEST_BATCH, 500 - LONGEST_BATCH]
+    assert second.received == [b",".join(payloads(0, 200)[1::2])]
     assert [channel.waiting for channel in channels] == [0, 0]
     publisher.stop()
 

@@ -74,10 +74,10 @@ def test_only_a_fault_that_the_board_can_end_is_told_with_the_coil_off(code: Eve
 
 
 def test_a_rejected_setting_is_named() -> None:
-    told = event_text.of_board(BoardEvent(code=EventCode.SETTINGS_REJECTED, detail=17, tick=0, missed=0))
+    event = event_text.of_board(BoardEvent(code=EventCode.SETTINGS_REJECTED, detail=17, tick=0, missed=0))
 
-    assert told[:2] == ("settings-rejected", "warning")
-    assert "u_max" in told[2]
+    assert event[:2] == ("settings-rejected", "warning")
+    assert "u_max" in event[2]
 
 
 def test_a_gateway_that_has_missed_the_event_sees_it_in_u_c() -> None:

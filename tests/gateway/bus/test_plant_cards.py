@@ -28,7 +28,7 @@ from tests.harness.gateway.gateway_peers import (
     wait_for,
 )
 
-OWN = pb.Plant(name="heavy", mass_kg=20e-3, travel_m=6e-3, x_max_m=9e-3, gravity_m_s2=9.81, ball_diameter_m=17e-3)
+HEAVY = pb.Plant(name="heavy", mass_kg=20e-3, travel_m=6e-3, x_max_m=9e-3, gravity_m_s2=9.81, ball_diameter_m=17e-3)
 FILE = '[plant]\nname = "filed"\nmass_kg = 30e-3\ntravel_m = 6e-3\n'
 
 
@@ -51,7 +51,7 @@ def card(bus: Bus, *, who: str) -> pb.PlantCard:
 
 def stated(**changed: Any) -> pb.SetPlant:
     plant = pb.Plant()
-    plant.CopyFrom(OWN)
+    plant.CopyFrom(HEAVY)
     for name, value in changed.items():
         setattr(plant, name, value)
     return pb.SetPlant(plant=plant)
@@ -69,15 +69,15 @@ def test_a_card_is_published_kept_over_a_restart_and_logged(tmp_path: Path) -> N
             again = card(bus, who="test")
 
     assert not nobody.HasField("plant")
-    assert made.plant == again.plant == OWN
+    assert made.plant == again.plant == HEAVY
     assert abs(made.stated_ns - again.stated_ns) < 1000
     assert event.text == ("test: a ball of 20 g (17 mm), travel 6 mm, x_max 9 mm, g 9.81 m/s2; before: not stated")
-    kept = load_plant(tmp_path / "plants" / "rig.toml")
-    assert (kept.name, kept.mass_kg, kept.ball_diameter_m, kept.assumed) == ("heavy", 20e-3, 17e-3, False)
+    saved = load_plant(tmp_path / "plants" / "rig.toml")
+    assert (saved.name, saved.mass_kg, saved.ball_diameter_m, saved.assumed) == ("heavy", 20e-3, 17e-3, False)
     first = min(tmp_path.glob("*.mcap"))
     logged = [record.message for record in read(first, topics=["plant", "command/record", "event"])]
-    assert any(isinstance(m, pb.PlantCard) and m.plant == OWN for m in logged)
-    assert any(isinstance(m, pb.CommandRecord) and m.command.set_plant.plant == OWN for m in logged)
+    assert any(isinstance(m, pb.PlantCard) and m.plant == HEAVY for m in logged)
+    assert any(isinstance(m, pb.CommandRecord) and m.command.set_plant.plant == HEAVY for m in logged)
     assert any(isinstance(m, pb.Event) and m.name == "plant-stated" for m in logged)
 
 
@@ -86,18 +86,18 @@ def test_what_is_impossible_is_refused_and_what_is_unusual_is_asked_about(tmp_pa
         wait_for(lambda: bus.messages["rig/parameters"], "parameters")
         impossible = bus.command("1", set_plant=stated(mass_kg=20.0))
         unusual = bus.command("2", set_plant=stated(gravity_m_s2=10.0, travel_m=8.9e-3, x_max_m=8.9e-3))
-        beyond = bus.command("3", set_plant=stated(travel_m=5.9e-3))
+        short_travel = bus.command("3", set_plant=stated(travel_m=5.9e-3))
         nameless = bus.command("4", set_plant=stated(name=""))
         confirmed = stated(gravity_m_s2=10.0)
         confirmed.confirmed = True
-        taken = bus.command("5", set_plant=confirmed)
+        reply = bus.command("5", set_plant=confirmed)
 
     assert (impossible.reason, impossible.refused_by) == ("implausible", "gateway")
     assert "You may mean 20 g" in impossible.text
-    assert (unusual.reason, beyond.reason, nameless.reason) == ("not-confirmed", "not-confirmed", "malformed")
+    assert (unusual.reason, short_travel.reason, nameless.reason) == ("not-confirmed", "not-confirmed", "malformed")
     assert "10 m/s2 is not measured anywhere on Earth" in unusual.text
-    assert "whose references end at 6 mm" in beyond.text
-    assert taken.accepted
+    assert "whose references end at 6 mm" in short_travel.text
+    assert reply.accepted
 
 
 def test_the_newest_statement_counts(tmp_path: Path) -> None:
@@ -169,6 +169,6 @@ def test_an_emulated_ce_152_states_its_plant_until_somebody_else_does(tmp_path: 
         assert bus.command("plant", set_plant=stated()).accepted
         card(bus, who="test")
         wait_for(lambda: len(bus.messages["rig/parameters"]) > 2, "another look at the board")
-        assert card(bus, who="test").plant == OWN
+        assert card(bus, who="test").plant == HEAVY
 
     assert (emulated.plant.mass_kg, emulated.plant.travel_m) == (8.28e-3, 5.7e-3)

@@ -36,7 +36,7 @@ def test_nobody_s_plant_is_assumed_and_said_and_a_card_ends_that(
     rig.write_text(DRAGGED_RIG)
     with emulated_line(tmp_path, rig=str(rig), limits=LIMITS) as line:
         assert run(line, folder, "--experiment", "lift-off", "--quick") == 0
-        assumed, said = load(folder).plant, capsys.readouterr().err
+        assumed, error_output = load(folder).plant, capsys.readouterr().err
         state(line)
         assert run(line, folder, "--experiment", "rest", "--quick") == 0
         stated = load(folder).plant
@@ -48,7 +48,7 @@ def test_nobody_s_plant_is_assumed_and_said_and_a_card_ends_that(
         line.assert_parked(x_ref_m=6e-3)
 
     assert (assumed.mass_kg, assumed.assumed) == (8.28e-3, True)
-    assert "nobody stated the plant: a published CE 152 is assumed" in said
+    assert "nobody stated the plant: a published CE 152 is assumed" in error_output
     assert (stated.name, stated.mass_kg, stated.travel_m, stated.x_max_m) == ("heavy", 20e-3, 12e-3, 16e-3)
     assert not stated.assumed
     assert load(folder).plant == stated, "a folder keeps the card with which it was flown"
@@ -65,10 +65,10 @@ def test_with_its_card_another_ball_is_identified(tmp_path: Path, capsys: pytest
 
     assert board51.main(["identify", str(folder), "--out", str(model)]) == 0
 
-    said = capsys.readouterr()
-    assert not [text for text in said.out.splitlines() + said.err.splitlines() if text.startswith("!")]
+    captured = capsys.readouterr()
+    assert not [text for text in captured.out.splitlines() + captured.err.splitlines() if text.startswith("!")]
     parameters = json.loads(model.read_text())["parameters"]
     for name, true in TRUTH.items():
-        found = parameters[name]
-        assert found["verdict"] == "identified", name
-        assert abs(found["value"] - true) < 4 * found["std"], (name, found)
+        parameter = parameters[name]
+        assert parameter["verdict"] == "identified", name
+        assert abs(parameter["value"] - true) < 4 * parameter["std"], (name, parameter)

@@ -138,10 +138,10 @@ def test_a_good_recording_has_no_problem(name: str) -> None:
     ],
 )
 def test_what_spoils_a_recording_is_named(name: str, spoil: Change, code: str, cure: str) -> None:
-    found = problems(name, spoil(GOOD[name]()))
+    detected = problems(name, spoil(GOOD[name]()))
 
-    assert [(problem.code, problem.cure) for problem in found] == [(code, cure)], found
-    assert found[0].text
+    assert [(problem.code, problem.cure) for problem in detected] == [(code, cure)], detected
+    assert detected[0].text
 
 
 def test_single_lost_samples_are_no_problem() -> None:

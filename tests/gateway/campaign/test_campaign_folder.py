@@ -28,7 +28,7 @@ def test_a_list_of_recordings_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "error"),
     [
         ({"format": 2}, "format = 2 is not 1"),
         ({"recordings": None}, "recordings = None is not a table"),
@@ -38,14 +38,14 @@ def test_a_list_of_recordings_is_read(tmp_path: Path) -> None:
         ({"recordings": {NAME: {**RECORDING, "said": "x"}}}, f"recordings.{NAME}.said = 'x' is not a list of texts"),
     ],
 )
-def test_what_is_damaged_is_named(tmp_path: Path, change: dict[str, Any], said: str) -> None:
+def test_what_is_damaged_is_named(tmp_path: Path, change: dict[str, Any], error: str) -> None:
     (tmp_path / "run.json").write_text(json.dumps({**WHOLE, **change}))
 
     with pytest.raises(DataError) as refused:
         Folder(tmp_path)
 
     assert (
-        str(refused.value) == f"{tmp_path / 'run.json'}: {said}. Give a new folder; the recordings here stay readable."
+        str(refused.value) == f"{tmp_path / 'run.json'}: {error}. Give a new folder; the recordings here stay readable."
     )
 
 

@@ -32,14 +32,14 @@ def test_the_default_campaign_gives_the_rig_back_and_its_judges_agree(
 
     assert board51.main(["identify", str(folder), "--out", str(model)]) == 0
 
-    said = capsys.readouterr()
-    assert not [text for text in said.out.splitlines() + said.err.splitlines() if text.startswith("!")]
+    captured = capsys.readouterr()
+    assert not [text for text in captured.out.splitlines() + captured.err.splitlines() if text.startswith("!")]
     parameters = json.loads(model.read_text())["parameters"]
     for name, true in TRUTH.items():
-        found = parameters[name]
-        assert found["verdict"] == "identified", name
+        parameter = parameters[name]
+        assert parameter["verdict"] == "identified", name
         # 4 standard errors: one good campaign in 4000 would fail for one of the four parameters.
-        assert abs(found["value"] - true) < 4 * found["std"], (name, found)
+        assert abs(parameter["value"] - true) < 4 * parameter["std"], (name, parameter)
     assert board51.main(["validate", str(folder), "--model", str(model), "--out", str(tmp_path / "v")]) == 0
     assert "The model explains these recordings" in capsys.readouterr().out
 

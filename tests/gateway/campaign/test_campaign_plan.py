@@ -66,18 +66,18 @@ def test_no_rig_is_driven_beyond_its_limits(scale: Scale, experiment: Experiment
     if isinstance(plan, str):
         assert plan
         return
-    most = scale.limits
+    bounds = scale.limits
     for action in plan:
         match action:
             case GoTo():
-                assert most.x_min_m <= action.x_ref_m <= most.x_max_m
+                assert bounds.x_min_m <= action.x_ref_m <= bounds.x_max_m
             case Shoot():
-                assert most.u_min_v <= min(action.u_from_v, action.u_to_v)
-                assert max(action.u_from_v, action.u_to_v) <= most.u_max_v
+                assert bounds.u_min_v <= min(action.u_from_v, action.u_to_v)
+                assert max(action.u_from_v, action.u_to_v) <= bounds.u_max_v
             case Send() if action.command.WhichOneof("what") == "excite":
                 e = action.command.excite
-                low, high = (most.x_min_m, most.x_max_m) if e.on_reference else (most.u_min_v, most.u_max_v)
-                lsb = most.x_lsb_m if e.on_reference else most.u_lsb_v
+                low, high = (bounds.x_min_m, bounds.x_max_m) if e.on_reference else (bounds.u_min_v, bounds.u_max_v)
+                lsb = bounds.x_lsb_m if e.on_reference else bounds.u_lsb_v
                 # In counts, as the gateway rounds them; the bounds are whole counts on a board.
                 offset, amplitude = round(e.offset / lsb), round(e.amplitude / lsb)
                 assert offset - amplitude >= math.floor(low / lsb)
@@ -132,10 +132,10 @@ def test_every_experiment_of_the_menu_is_possible_on_a_ce152() -> None:
 
 
 def test_another_seed_is_another_random_signal() -> None:
-    one = actions_of(EXPERIMENT_OF_NAME["prbs-reference"], SCALE)
+    first = actions_of(EXPERIMENT_OF_NAME["prbs-reference"], SCALE)
     other = actions_of(EXPERIMENT_OF_NAME["prbs-reference"], replace(SCALE, seed=2))
 
-    assert one != other
+    assert first != other
 
 
 def test_the_first_ramp_is_guessed_from_the_operating_point() -> None:

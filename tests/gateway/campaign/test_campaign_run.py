@@ -58,12 +58,12 @@ def test_a_recording_holds_what_is_needed_to_understand_it(tmp_path: Path, capsy
 
     reader = LogReader(tmp_path / "c" / "amplifier-steps.mcap")
     records = [record for record in reader.records()]
-    by_topic = {record.topic: record.message for record in records}
+    message_of_topic = {record.topic: record.message for record in records}
     states = [record.message for record in records if isinstance(record.message, pb.State)]
     assert {record.topic for record in records[:2]} == {"plant", "parameters"}
-    assert {"state", "capture", "event", "command/record"} <= set(by_topic)
-    assert isinstance(by_topic["command/record"], pb.CommandRecord)
-    assert by_topic["command/record"].command.who == "anna"
+    assert {"state", "capture", "event", "command/record"} <= set(message_of_topic)
+    assert isinstance(message_of_topic["command/record"], pb.CommandRecord)
+    assert message_of_topic["command/record"].command.who == "anna"
     assert [b.tick - a.tick for a, b in pairwise(states)] == [1] * (len(states) - 1)
     assert reader.metadata["campaign"]["experiment"] == "amplifier-steps"
     assert "the ball lifts off at" in capsys.readouterr().err

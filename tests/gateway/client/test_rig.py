@@ -80,12 +80,12 @@ def test_samples_come_one_by_one_without_a_gap_from_the_call_on(rig: Rig) -> Non
 
 
 def test_a_loop_that_is_left_ends_its_subscription(rig: Rig) -> None:
-    taken = 0
+    count = 0
     stream = rig.samples()
     waiting = stream._queue._waiting
     for _ in stream:
-        taken += 1
-        if taken == 3:
+        count += 1
+        if count == 3:
             break
     del stream
     rig.ping()
@@ -137,13 +137,13 @@ def test_every_command_of_the_interface_has_a_method_that_a_board_accepts(rig: R
 def test_a_capture_is_the_answer_of_the_coil_to_a_step(rig: Rig) -> None:
     rig.set_mode("open-loop")
 
-    taken = rig.capture(u_from_v=0.0, u_to_v=1.0, duration_s=0.02, pre_s=0.004)
+    capture = rig.capture(u_from_v=0.0, u_to_v=1.0, duration_s=0.02, pre_s=0.004)
 
-    assert taken.i_c_a.shape == taken.t_s.shape == (500,)
-    assert taken.sample_time_s == pytest.approx(40e-6)
-    assert taken.t_s[100] == 0.0
-    assert taken.i_c_a[taken.t_s < 0].mean() == pytest.approx(0.0, abs=5e-3)
-    assert taken.i_c_a[-50:].mean() == pytest.approx(0.297, rel=0.02)
+    assert capture.i_c_a.shape == capture.t_s.shape == (500,)
+    assert capture.sample_time_s == pytest.approx(40e-6)
+    assert capture.t_s[100] == 0.0
+    assert capture.i_c_a[capture.t_s < 0].mean() == pytest.approx(0.0, abs=5e-3)
+    assert capture.i_c_a[-50:].mean() == pytest.approx(0.297, rel=0.02)
 
 
 def test_a_refusal_says_who_why_and_what_to_do(rig: Rig) -> None:
@@ -261,16 +261,16 @@ def test_a_rig_that_is_not_open_says_so(endpoint: str) -> None:
 
 def test_a_recording_holds_what_was_read_and_reads_back_equal(rig: Rig, tmp_path: Path) -> None:
     with rig.record(tmp_path / "new" / "logs", prefix="flight") as recording:
-        seen = rig.read(0.5)
+        samples = rig.read(0.5)
         rig.status()
 
     logged = recording.samples()
 
     assert [file.name.startswith("flight-") for file in recording.files] == [True]
     assert recording.stats.dropped == 0
-    held = np.isin(logged.tick, seen.tick)
-    assert held.sum() == len(seen)
-    for name, values in seen.to_dict().items():
+    held = np.isin(logged.tick, samples.tick)
+    assert held.sum() == len(samples)
+    for name, values in samples.to_dict().items():
         np.testing.assert_array_equal(logged.to_dict()[name][held], values)
     assert len(read_log(recording.files[0], board="rig")) == len(logged)
 
@@ -327,12 +327,12 @@ rig.record("logs")
 rig.read(0.2)
 {ENDINGS[ending]}
 """
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False
     )
 
-    assert done.returncode == CODES.get(ending, 1), done.stderr
-    assert ending != "working" or done.stdout == "250 samples after the end of main\n"
+    assert process.returncode == CODES.get(ending, 1), process.stderr
+    assert ending != "working" or process.stdout == "250 samples after the end of main\n"
     files = list(tmp_path.glob("*/*.mcap"))
     assert files
     for file in files:
@@ -348,12 +348,12 @@ def test_a_test_run_that_leaves_a_rig_open_ends(endpoint: str, tmp_path: Path) -
         encoding="utf-8",
     )
 
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "test_users.py"],
         cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False,
     )  # fmt: skip
 
-    assert done.returncode == 1, done.stdout
-    assert "of the user" in done.stdout
+    assert process.returncode == 1, process.stdout
+    assert "of the user" in process.stdout
     (file,) = tmp_path.glob("logs/*.mcap")
     assert file.read_bytes().endswith(b"\x89MCAP0\r\n")

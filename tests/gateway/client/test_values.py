@@ -13,10 +13,10 @@ from tests.harness.hostile_messages import write_log
 
 NEWER = pb.State(session=3, tick=1)
 NEWER.mode = 7  # type: ignore[assignment]  # as a newer gateway may send it
-LATE = pb.State(session=3, tick=1 << 63)
+HUGE_TICK = pb.State(session=3, tick=1 << 63)
 
 
-@pytest.mark.parametrize(("state", "named"), [(NEWER, "session 3 has the mode 7"), (LATE, f"tick {1 << 63}")])
+@pytest.mark.parametrize(("state", "named"), [(NEWER, "session 3 has the mode 7"), (HUGE_TICK, f"tick {1 << 63}")])
 def test_a_sample_that_this_version_does_not_know_is_named_with_its_log(
     state: pb.State, named: str, tmp_path: Path
 ) -> None:

@@ -40,13 +40,13 @@ def script() -> str:
 )
 def test_the_shell_offers_what_may_follow(script: str, line: str, offered: set[str]) -> None:
     words = line.split(" ")
-    ask = f"COMP_WORDS=({shlex.join(words)}) COMP_CWORD={len(words) - 1}"
+    variables = f"COMP_WORDS=({shlex.join(words)}) COMP_CWORD={len(words) - 1}"
 
-    done = subprocess.run(
-        [str(BASH), "-c", f'{script}\n{ask}\n_board51\necho "${{COMPREPLY[@]}}"'],
+    process = subprocess.run(
+        [str(BASH), "-c", f'{script}\n{variables}\n_board51\necho "${{COMPREPLY[@]}}"'],
         capture_output=True,
         text=True,
         check=True,
     )
 
-    assert set(done.stdout.split()) == offered
+    assert set(process.stdout.split()) == offered

@@ -65,7 +65,7 @@ def log(tmp_path: Path) -> Log:
     return Log(tmp_path / "run.mcap")
 
 
-def found(log: Log, *flights: Flight) -> tuple[str, str]:
+def summarize(log: Log, *flights: Flight) -> tuple[str, str]:
     log.writer.close()
     gather(log.writer.path, list(flights))
     return table(flights), sentence(flights)
@@ -75,56 +75,56 @@ def test_the_errors_at_rest_of_both_flights_are_in_the_table(log: Log) -> None:
     before = log.fly("nominal", (0.05, 0.10, 0.20), noise_m_s2=0.02, alarms=("innovation", "divergence-i_c"))
     after = log.fly("identified", (-0.02, 0.0, 0.03), noise_m_s2=0.02)
 
-    shown, said = found(log, before, after)
+    table_text, summary = summarize(log, before, after)
 
-    rows = {line.split()[0]: line.split()[1:] for line in shown.splitlines() if line.split()[0][0].isdigit()}
+    rows = {line.split()[0]: line.split()[1:] for line in table_text.splitlines() if line.split()[0][0].isdigit()}
     assert rows == {
         "1.50": ["0.600", "0.550", "+0.050", "0.620", "-0.020"],
         "3.00": ["0.600", "0.500", "+0.100", "0.600", "+0.000"],
         "4.50": ["0.600", "0.400", "+0.200", "0.570", "+0.030"],
     }
-    assert "30.0 um" in shown
-    assert shown.splitlines()[-1].split() == ["alarms", "raised", "2", "0"]
+    assert "30.0 um" in table_text
+    assert table_text.splitlines()[-1].split() == ["alarms", "raised", "2", "0"]
     # rms of 50, 100, 200 is 132.3; of 20, 0, 30 is 20.8
-    assert "current at rest: the identified model cuts it from 132 to 21 mA rms" in said
-    assert "Left over: -20 to +30 mA, rising with the height of the ball" in said
-    assert said.endswith("the identified twin raises no alarm.")
+    assert "current at rest: the identified model cuts it from 132 to 21 mA rms" in summary
+    assert "Left over: -20 to +30 mA, rising with the height of the ball" in summary
+    assert summary.endswith("the identified twin raises no alarm.")
 
 
 def test_no_alarm_is_not_called_right_where_the_model_calls_more_noise(log: Log) -> None:
     before = log.fly("nominal", (0.05, 0.10, 0.20), noise_m_s2=0.02)
     after = log.fly("identified", (0.04, -0.04, 0.04), noise_m_s2=4.0)
 
-    _, said = found(log, before, after)
+    _, summary = summarize(log, before, after)
 
-    assert "counting 4 m/s^2 of acceleration as noise" in said
-    assert "height" not in said, "the error goes up and down"
+    assert "counting 4 m/s^2 of acceleration as noise" in summary
+    assert "height" not in summary, "the error goes up and down"
 
 
 def test_a_worse_model_is_said_to_be_worse(log: Log) -> None:
     before = log.fly("nominal", (0.05, 0.05, 0.05), noise_m_s2=0.02)
     after = log.fly("identified", (0.1, 0.1, 0.1), noise_m_s2=0.02, alarms=("divergence-i_c", "divergence-i_c"))
 
-    _, said = found(log, before, after)
+    _, summary = summarize(log, before, after)
 
-    assert "raises it from 50 to 100 mA" in said
-    assert said.endswith("the identified twin still raises divergence-i_c.")
+    assert "raises it from 50 to 100 mA" in summary
+    assert summary.endswith("the identified twin still raises divergence-i_c.")
 
 
 def test_a_right_model_leaves_nothing_to_speak_of(log: Log) -> None:
     before = log.fly("nominal", (0.05, 0.10, 0.20), noise_m_s2=0.02)
     after = log.fly("identified", (1e-4, -2e-4, 0.9 * NOTABLE_A), noise_m_s2=0.02)
 
-    _, said = found(log, before, after)
+    _, summary = summarize(log, before, after)
 
-    assert "The rest is below 5 mA" in said
+    assert "The rest is below 5 mA" in summary
 
 
 def test_a_flight_without_a_twin_is_said_so(log: Log) -> None:
     flown = log.fly("nominal", (0.05, 0.10, 0.20), noise_m_s2=0.02)
-    nothing = Flight(name="identified", from_t_s=1e3, to_t_s=1e3 + 1.0)
+    empty_flight = Flight(name="identified", from_t_s=1e3, to_t_s=1e3 + 1.0)
 
-    assert "nothing can be compared" in found(log, flown, nothing)[1]
+    assert "nothing can be compared" in summarize(log, flown, empty_flight)[1]
 
 
 def test_every_model_after_the_first_is_compared_with_the_one_before(log: Log) -> None:
@@ -134,11 +134,11 @@ def test_every_model_after_the_first_is_compared_with_the_one_before(log: Log) -
         log.fly("extended", (1e-3, 0.0, -1e-3), noise_m_s2=0.02),
     ]
 
-    shown, said = found(log, *flights)
+    table_text, summary = summarize(log, *flights)
 
-    assert "the identified model cuts it from 100 to 60 mA rms; the extended model cuts it from 60 to 1 mA" in said
-    assert said.endswith("below 5 mA; the extended twin raises no alarm.")
-    rows = {line.split()[0]: line.split()[1:] for line in shown.splitlines()}
+    assert "the identified model cuts it from 100 to 60 mA rms; the extended model cuts it from 60 to 1 mA" in summary
+    assert summary.endswith("below 5 mA; the extended twin raises no alarm.")
+    rows = {line.split()[0]: line.split()[1:] for line in table_text.splitlines()}
     assert rows["3.00"][2::2] == ["+0.100", "+0.060", "+0.000"]
     assert rows["alarms"] == ["raised", "1", "1", "0"]
 

@@ -74,12 +74,12 @@ def the_current_rises_in_a_straight_line(rate: float) -> None:
 
 
 def the_dead_zone_is_missing_from_the_input(width: float) -> None:
-    inside, outside = rig_with(amplifier_dead_zone=width), rig_with(amplifier_dead_zone=width)
+    within, outside = rig_with(amplifier_dead_zone=width), rig_with(amplifier_dead_zone=width)
 
-    inside.advance(0.99 * width, 0.01)
+    within.advance(0.99 * width, 0.01)
     outside.advance(width + 1.0, 0.01)
 
-    assert inside.i_c_a == 0.0
+    assert within.i_c_a == 0.0
     assert outside.i_c_a == pytest.approx(K_A * 1.0, rel=1e-9)
 
 
@@ -116,14 +116,14 @@ def a_rising_ball_pushes_the_current_down(coupling: float) -> None:
 
 
 def the_input_acts_later(delay: float) -> None:
-    late, plain = rig_with(actuation_delay=delay), rig_with()
+    delayed, plain = rig_with(actuation_delay=delay), rig_with()
 
-    late.advance(2.0, delay)
-    assert late.i_c_a == 0.0
+    delayed.advance(2.0, delay)
+    assert delayed.i_c_a == 0.0
 
-    late.advance(2.0, 0.001)
+    delayed.advance(2.0, 0.001)
     plain.advance(2.0, 0.001)
-    assert late.i_c_a == plain.i_c_a
+    assert delayed.i_c_a == plain.i_c_a
 
 
 def the_coil_is_further_away(offset: float) -> None:
@@ -259,15 +259,15 @@ def i_reads_in_proportion(gain: float) -> None:
 
 
 def both_sensors_show_the_past(delay: float) -> None:
-    late, plain = rig_with(x_m=MIDDLE_M, sampling_delay=delay), rig_with(x_m=MIDDLE_M)
+    delayed, plain = rig_with(x_m=MIDDLE_M, sampling_delay=delay), rig_with(x_m=MIDDLE_M)
     plain.advance(4.0, 0.01)
     then = plain.sense()
 
-    late.advance(4.0, 0.01)
-    late.advance(1.0, delay)
+    delayed.advance(4.0, 0.01)
+    delayed.advance(1.0, delay)
 
-    assert late.sense() == then
-    assert late.x_m != then[1]
+    assert delayed.sense() == then
+    assert delayed.x_m != then[1]
 
 
 def frames_are_lost_at_the_given_rate(probability: float) -> None:
@@ -340,13 +340,13 @@ def test_an_effect_switched_on_later_acts_from_then_on() -> None:
 
 
 def test_delays_fit_the_memory_of_the_plant() -> None:
-    late = rig_with(actuation_delay=MAX_DELAY_S, sampling_delay=MAX_DELAY_S)
+    delayed = rig_with(actuation_delay=MAX_DELAY_S, sampling_delay=MAX_DELAY_S)
 
-    late.advance(2.0, MAX_DELAY_S + 0.01)
-    assert (late.i_c_a > 0.0, late.sense()[0]) == (True, 0.0)
+    delayed.advance(2.0, MAX_DELAY_S + 0.01)
+    assert (delayed.i_c_a > 0.0, delayed.sense()[0]) == (True, 0.0)
 
-    late.advance(2.0, MAX_DELAY_S)
-    assert late.sense()[0] == pytest.approx(K_A * 2.0, rel=1e-6)
+    delayed.advance(2.0, MAX_DELAY_S)
+    assert delayed.sense()[0] == pytest.approx(K_A * 2.0, rel=1e-6)
 
 
 def test_the_step_resolves_a_tick_and_a_capture_sample() -> None:

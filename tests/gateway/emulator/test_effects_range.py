@@ -17,12 +17,12 @@ from protocol.errors import UsageError
 def journey(effects: Mapping[str, float]) -> list[tuple[float, ...]]:
     """Readings and truth over lift-off, a knock at the top, a fall and rebounds."""
     plant = EmulatedPlant(effects=effects, seed=1)
-    seen: list[tuple[float, ...]] = []
+    readings: list[tuple[float, ...]] = []
     for u in (3.6, 5.0, 1.5, 0.0, 4.0):
         for _ in range(20):
             plant.advance(u, 0.002)
-            seen.append((*plant.sense(), plant.i_c_a, plant.x_m, plant.v_m_s, plant.drop_sample()))
-    return seen
+            readings.append((*plant.sense(), plant.i_c_a, plant.x_m, plant.v_m_s, plant.drop_sample()))
+    return readings
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -50,7 +50,7 @@ def test_all_effects_together_leave_a_possible_rig() -> None:
 def test_sensing_effects_do_not_move_the_ball() -> None:
     sensing = {name: effect.medium for name, effect in EFFECTS.items() if effect.family in {"sensing", "timing"}}
 
-    assert [seen[2:5] for seen in journey(sensing)] == [seen[2:5] for seen in journey({})]
+    assert [row[2:5] for row in journey(sensing)] == [row[2:5] for row in journey({})]
 
 
 @pytest.mark.parametrize("name", EFFECTS)

@@ -50,11 +50,11 @@ def test_the_command_serves_until_a_signal_and_cleans_up(tmp_path: Path) -> None
 def test_the_command_serves_although_nobody_can_take_its_output(tmp_path: Path) -> None:
     words = ["emulate", "--pty", str(tmp_path / "rig"), "--duration", "0.1"]
     with open("/dev/full", "w") as full:  # as a file on a disk that has no room
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-m", "board51", *words], stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
 
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
 
 
 @pytest.mark.usefixtures("_same_signals")
@@ -62,12 +62,12 @@ def test_the_command_seals_its_secret_and_prints_json(tmp_path: Path, capsys: py
     secret = ["--secret", "7", "--sealed", str(tmp_path / "sealed.json")]
     assert board51.main(["emulate", "--tcp", "127.0.0.1:0", "--json", "--duration", "0.1", *secret]) == 0
 
-    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert told[0]["board_id"] == 1
-    assert told[0]["url"].startswith("socket://127.0.0.1:")
+    reports = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert reports[0]["board_id"] == 1
+    assert reports[0]["url"].startswith("socket://127.0.0.1:")
     assert (tmp_path / "sealed.json").exists()
-    assert told[1]["commitment"]
-    assert told[2]["counts"]["time_s"] == pytest.approx(0.1)
+    assert reports[1]["commitment"]
+    assert reports[2]["counts"]["time_s"] == pytest.approx(0.1)
 
 
 @pytest.mark.usefixtures("_same_signals")

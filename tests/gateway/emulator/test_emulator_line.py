@@ -200,10 +200,10 @@ def test_a_disconnect_closes_the_port_and_opens_it_again() -> None:
     line, wire, _ = on_a_line("disconnect=0.2@0.5:renamed")
 
     run(line, 300)
-    gone = not wire.is_open
+    was_closed = not wire.is_open
     run(line, 100)
 
-    assert gone
+    assert was_closed
     assert wire.is_open
     assert wire.opened == [False, True]
     sequences = [state.sequence for state in states(wire)]
@@ -247,9 +247,9 @@ def test_a_commanded_reset_lets_its_ack_leave_the_line() -> None:
     wire.to_board = frame("HELLO", id=1, session=1, version_min=1, version_max=1) + frame("RESET", id=2)
     run(line, 40)
 
-    told = [event for event in wire.events() if isinstance(event, Message)]
-    ack = next(n for n, event in enumerate(told) if event.name == "ACK" and event.int("command") == 0x0D)
-    assert [event.int("code") for event in told[ack + 1 :]] == [EventCode.RESET_COMMANDED]
+    messages = [event for event in wire.events() if isinstance(event, Message)]
+    ack = next(n for n, event in enumerate(messages) if event.name == "ACK" and event.int("command") == 0x0D)
+    assert [event.int("code") for event in messages[ack + 1 :]] == [EventCode.RESET_COMMANDED]
     assert not any(isinstance(event, BadFrame) for event in wire.events())
 
 

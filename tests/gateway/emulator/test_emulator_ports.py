@@ -139,13 +139,13 @@ def test_a_fault_can_be_injected_while_it_runs() -> None:
 
 def test_several_boards_differ_in_id_and_noise_only() -> None:
     with Emulator(boards=3, board_id=40) as emulator:
-        found = []
+        boards = []
         for url in emulator.urls:
             with Wire(url) as wire:
-                found.append((wire.hello().int("board_id"), tuple(state.x for state in wire.states())))
+                boards.append((wire.hello().int("board_id"), tuple(state.x for state in wire.states())))
 
-    assert [board for board, _ in found] == [40, 41, 42]
-    assert len({readings for _, readings in found}) == 3
+    assert [board for board, _ in boards] == [40, 41, 42]
+    assert len({readings for _, readings in boards}) == 3
 
 
 def test_a_port_in_use_is_an_error_and_leaves_nothing_open(tmp_path: Path) -> None:

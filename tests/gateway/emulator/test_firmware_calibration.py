@@ -18,7 +18,7 @@ NONE = {"low_read": 0, "low_true": 0, "high_read": COUNTS_MAX, "high_true": COUN
 
 
 def in_force(host: Host) -> dict[str, int]:
-    answer = host.ask("GET_CALIBRATION")
+    answer = host.request("GET_CALIBRATION")
     return {name: answer.int(name) for name in (*NONE, "kept")}
 
 
@@ -53,7 +53,7 @@ def test_a_calibration_corrects_readings_and_leaves_the_ends(points: dict[str, i
     bench = Bench()
     host = Host(bench)
 
-    assert host.ask("SET_CALIBRATION", **points).name == "ACK"
+    assert host.request("SET_CALIBRATION", **points).name == "ACK"
 
     assert in_force(host) == points | {"kept": 1}
     assert {count: x_read(host, bench, count) for count in readings} == readings
@@ -62,10 +62,10 @@ def test_a_calibration_corrects_readings_and_leaves_the_ends(points: dict[str, i
 def test_the_law_gets_the_corrected_position() -> None:
     bench, other = Bench(), Bench()
     host, corrected = Host(bench), Host(other)
-    corrected.ask("SET_CALIBRATION", **NONE | {"low_true": 200, "high_read": 3895})
+    corrected.request("SET_CALIBRATION", **NONE | {"low_true": 200, "high_read": 3895})
     bench.x_m, other.x_m = POSITION.to_si(2200), POSITION.to_si(2000)
     for each in (host, corrected):
-        each.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP))
+        each.request("SET_MODE", mode=int(Mode.CLOSED_LOOP))
         each.run(5)
 
     assert [state.u_c for state in host.states[-5:]] == [state.u_c for state in corrected.states[-5:]]
@@ -88,7 +88,7 @@ def test_the_law_gets_the_corrected_position() -> None:
 )
 def test_points_that_cannot_be_right_are_refused(points: dict[str, int], bound: int) -> None:
     host = Host()
-    host.ask("SET_CALIBRATION", **POINTS)
+    host.request("SET_CALIBRATION", **POINTS)
 
     body = bytes((0x0F, host.next_id())) + struct.pack("<4H", *(NONE | points).values())
 
@@ -99,45 +99,45 @@ def test_points_that_cannot_be_right_are_refused(points: dict[str, int], bound: 
 @pytest.mark.parametrize("mode", [Mode.OPEN_LOOP, Mode.CLOSED_LOOP])
 def test_while_the_coil_is_driven_it_is_refused(mode: Mode) -> None:
     host = Host()
-    host.ask("SET_MODE", mode=int(mode))
+    host.request("SET_MODE", mode=int(mode))
 
-    assert refusal(host.ask("SET_CALIBRATION", **POINTS)) == (Reason.WRONG_MODE, mode)
+    assert refusal(host.request("SET_CALIBRATION", **POINTS)) == (Reason.WRONG_MODE, mode)
     assert in_force(host) == NONE | {"kept": 0}
 
 
 def test_in_a_capture_and_in_a_fault_it_is_refused() -> None:
     bench = Bench()
     host = Host(bench)
-    host.ask("CAPTURE", u_from=300, u_to=1700, pre=50, count=2000)
+    host.request("CAPTURE", u_from=300, u_to=1700, pre=50, count=2000)
 
-    busy = host.ask("SET_CALIBRATION", **POINTS)
+    busy = host.request("SET_CALIBRATION", **POINTS)
     host.run(60)
     bench.i_a = 5.0
     host.run(60)
 
     assert refusal(busy) == (Reason.BUSY, 0)
-    assert refusal(host.ask("SET_CALIBRATION", **POINTS)) == (Reason.FAULT_ACTIVE, 0)
+    assert refusal(host.request("SET_CALIBRATION", **POINTS)) == (Reason.FAULT_ACTIVE, 0)
 
 
 @pytest.mark.parametrize("cause", [EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG])
 def test_it_outlives_a_reset_and_can_be_taken_back(cause: EventCode) -> None:
     bench = Bench()
     host = Host(bench)
-    host.ask("SET_CALIBRATION", **POINTS)
+    host.request("SET_CALIBRATION", **POINTS)
     host.firmware.reset(cause)
     host.run(BOOT_TICKS + 1)
     host.hello(2)
 
     assert in_force(host) == POINTS | {"kept": 1}
     assert x_read(host, bench, 2000) == 2080
-    assert host.ask("SET_CALIBRATION", **NONE).name == "ACK"
+    assert host.request("SET_CALIBRATION", **NONE).name == "ACK"
     assert x_read(host, bench, 2000) == 2000
 
 
 def test_a_corrected_position_at_the_end_is_flagged_as_one_at_the_end() -> None:
     bench = Bench()
     host = Host(bench)
-    host.ask("SET_CALIBRATION", **POINTS)
+    host.request("SET_CALIBRATION", **POINTS)
 
     x_read(host, bench, 4094)
 

@@ -23,12 +23,12 @@ def test_rule_12_a_capture_records_the_step_at_25_khz() -> None:
     host = Host(plant)
     u_from, u_to, pre, count = 400, 1600, 30, 200
 
-    answer = host.ask("CAPTURE", u_from=u_from, u_to=u_to, pre=pre, count=count)
+    answer = host.request("CAPTURE", u_from=u_from, u_to=u_to, pre=pre, count=count)
     host.run(20)
     samples: list[int] = []
     blocks = []
     for index in range(0, count, 32):
-        block = host.ask("READ_CAPTURE", index=index)
+        block = host.request("READ_CAPTURE", index=index)
         blocks.append(block)
         packed = block.bytes("samples")
         for n in range(0, 48, 3):
@@ -51,7 +51,7 @@ def test_rule_12_u_from_comes_20_ms_before_the_first_sample_and_the_mode_takes_o
     host = open_loop(700, bench)
     bench.inputs.clear()
 
-    host.ask("CAPTURE", u_from=400, u_to=1600, pre=10, count=75)
+    host.request("CAPTURE", u_from=400, u_to=1600, pre=10, count=75)
     host.run(16)
 
     runs: list[tuple[float, int]] = []
@@ -68,7 +68,7 @@ def test_rule_12_u_from_comes_20_ms_before_the_first_sample_and_the_mode_takes_o
 def test_rule_12_the_loop_goes_on_during_a_capture() -> None:
     host = Host()
 
-    host.ask("CAPTURE", u_from=100, u_to=200, pre=50, count=100)
+    host.request("CAPTURE", u_from=100, u_to=200, pre=50, count=100)
     states = host.run(20)
 
     assert [state.u_c for state in states] == [100] * 10 + [200] + [0] * 9
@@ -77,8 +77,8 @@ def test_rule_12_the_loop_goes_on_during_a_capture() -> None:
 
 def test_rule_12_what_would_disturb_a_capture_is_refused() -> None:
     host = Host()
-    host.ask("SET_MODE", mode=1)
-    host.ask("CAPTURE", u_from=100, u_to=200, pre=50, count=2000)
+    host.request("SET_MODE", mode=1)
+    host.request("CAPTURE", u_from=100, u_to=200, pre=50, count=2000)
 
     for name, fields in (
         ("EXCITE", {"shape": 0, "target": 0, "offset": 1, **QUIET}),
@@ -86,45 +86,45 @@ def test_rule_12_what_would_disturb_a_capture_is_refused() -> None:
         ("CAPTURE", {"u_from": 0, "u_to": 0, "pre": 0, "count": 1}),
         ("READ_CAPTURE", {"index": 0}),
     ):
-        assert refusal(host.ask(name, **fields)) == (Reason.BUSY, 0)
-    host.ask("SET_MODE", mode=0)
+        assert refusal(host.request(name, **fields)) == (Reason.BUSY, 0)
+    host.request("SET_MODE", mode=0)
 
     assert host.states[-1].u_c == 0
-    assert refusal(host.ask("READ_CAPTURE", index=0)) == (Reason.NOT_AVAILABLE, 0)
+    assert refusal(host.request("READ_CAPTURE", index=0)) == (Reason.NOT_AVAILABLE, 0)
 
 
 def test_rule_12_a_capture_needs_idle_or_open_loop_and_has_an_end() -> None:
     host = Host()
-    never = host.ask("READ_CAPTURE", index=0)
-    host.ask("CAPTURE", u_from=0, u_to=0, pre=0, count=33)
+    never = host.request("READ_CAPTURE", index=0)
+    host.request("CAPTURE", u_from=0, u_to=0, pre=0, count=33)
     host.run(15)
-    beyond = host.ask("READ_CAPTURE", index=33)
-    last = host.ask("READ_CAPTURE", index=32)
-    host.ask("SET_MODE", mode=2)
+    past_end = host.request("READ_CAPTURE", index=33)
+    last = host.request("READ_CAPTURE", index=32)
+    host.request("SET_MODE", mode=2)
 
-    closed = host.ask("CAPTURE", u_from=0, u_to=0, pre=0, count=1)
+    closed = host.request("CAPTURE", u_from=0, u_to=0, pre=0, count=1)
 
-    assert refusal(never) == refusal(beyond) == (Reason.NOT_AVAILABLE, 0)
+    assert refusal(never) == refusal(past_end) == (Reason.NOT_AVAILABLE, 0)
     assert last.name == "CAPTURE_BLOCK"
     assert refusal(closed) == (Reason.WRONG_MODE, Mode.CLOSED_LOOP)
 
 
 def test_rule_12_a_capture_that_ended_before_a_stop_can_be_read() -> None:
     host = Host()
-    host.ask("CAPTURE", u_from=0, u_to=100, pre=0, count=1)
+    host.request("CAPTURE", u_from=0, u_to=100, pre=0, count=1)
     host.run(10)
 
     host.firmware.feed(frame("STOP", id=99), into_tick_us=700)  # the sample's 40 us are over
     host.run(1, alive=False)
 
     assert host.codes()[-1] == EventCode.CAPTURE_DONE
-    assert host.ask("READ_CAPTURE", index=0).name == "CAPTURE_BLOCK"
+    assert host.request("READ_CAPTURE", index=0).name == "CAPTURE_BLOCK"
 
 
 def test_rule_12_a_capture_that_hangs_holds_its_input_until_the_watchdog_resets_the_board() -> None:
     bench = Bench()
     host = Host(bench)
-    host.ask("CAPTURE", u_from=100, u_to=200, pre=0, count=20)
+    host.request("CAPTURE", u_from=100, u_to=200, pre=0, count=20)
     host.run(5)
 
     host.firmware.hang()

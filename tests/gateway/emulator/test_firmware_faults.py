@@ -29,9 +29,9 @@ pytestmark = pytest.mark.usefixtures("each_firmware")
 )
 def test_rule_10_the_policy_acts_once_when_the_host_is_silent(policy: HostLoss, mode: int, expected: int) -> None:
     host = Host()
-    host.ask("SET_MODE", mode=mode)
-    host.ask("EXCITE", shape=2, target=mode - 1, offset=1000, **(QUIET | {"amplitude": 50, "period": 4}))
-    host.ask("SET_HOST_LOSS", policy=policy, timeout=100)
+    host.request("SET_MODE", mode=mode)
+    host.request("EXCITE", shape=2, target=mode - 1, offset=1000, **(QUIET | {"amplitude": 50, "period": 4}))
+    host.request("SET_HOST_LOSS", policy=policy, timeout=100)
 
     before = host.run(48, alive=False)  # and the tick of the command itself: 98 ms
     after = host.run(60, alive=False)
@@ -55,7 +55,7 @@ def test_rule_10_the_policy_acts_once_when_the_host_is_silent(policy: HostLoss, 
 
 def test_rule_10_noise_does_not_keep_the_host_alive() -> None:
     host = Host()
-    host.ask("SET_HOST_LOSS", policy=1, timeout=50)
+    host.request("SET_HOST_LOSS", policy=1, timeout=50)
 
     for _ in range(40):
         host.firmware.feed(b"\x00garbage\x00" + frame("PING", id=3)[:-2] + b"\x00")
@@ -65,17 +65,17 @@ def test_rule_10_noise_does_not_keep_the_host_alive() -> None:
 
 
 def test_rule_10_the_timer_runs_without_a_host_and_any_frame_with_an_id_restarts_it() -> None:
-    alone = Host(session=False)
-    alone.run(249, alive=False)
-    before = alone.codes()
-    alone.run(1, alive=False)
+    silent = Host(session=False)
+    silent.run(249, alive=False)
+    before = silent.codes()
+    silent.run(1, alive=False)
     talked_to = Host()
     for _ in range(600):
         talked_to.firmware.feed(encode_frame(b"\x3f\x09"))  # a type that nobody knows
         talked_to.run(1, alive=False)
 
     assert EventCode.HOST_LOST not in before
-    assert EventCode.HOST_LOST in alone.codes()
+    assert EventCode.HOST_LOST in silent.codes()
     assert EventCode.HOST_LOST not in talked_to.codes()
 
 
@@ -118,7 +118,7 @@ def test_rule_11_a_position_at_an_end_for_500_ticks_of_closed_loop_is_a_fault(x_
     host.run(600)
     open_before = EventCode.SENSOR_FAULT in host.codes()
 
-    host.ask("SET_MODE", mode=2)
+    host.request("SET_MODE", mode=2)
     host.run(498)
     before = host.states[-1].flags
     host.run(1)
@@ -134,7 +134,7 @@ def test_rule_11_a_current_still_at_the_top_is_a_fault_again_at_the_tick_after_s
     host = Host(bench)
     host.run(60)
 
-    host.ask("SET_MODE", mode=1)
+    host.request("SET_MODE", mode=1)
 
     assert host.codes().count(EventCode.OVER_CURRENT) == 2
     assert host.states[-1].flags & (Flag.FAULT | 3) == Flag.FAULT
@@ -143,7 +143,7 @@ def test_rule_11_a_current_still_at_the_top_is_a_fault_again_at_the_tick_after_s
 def test_rule_11_a_closed_loop_that_was_left_and_entered_between_two_ticks_counts_anew() -> None:
     bench = Bench(x_m=-1.0)
     host = Host(bench)
-    host.ask("SET_MODE", mode=2)
+    host.request("SET_MODE", mode=2)
     host.run(498)
 
     host.firmware.feed(frame("SET_MODE", id=201, mode=0))
@@ -197,10 +197,10 @@ def test_rule_13_a_capture_that_came_before_stop_does_not_begin() -> None:
 
 def test_rule_13_stop_ends_a_capture_and_leaves_the_stream() -> None:
     host = Host()
-    host.ask("SET_STREAM", divider=3)
-    host.ask("CAPTURE", u_from=100, u_to=200, pre=50, count=2000)
+    host.request("SET_STREAM", divider=3)
+    host.request("CAPTURE", u_from=100, u_to=200, pre=50, count=2000)
 
-    host.ask("STOP")
+    host.request("STOP")
     states = host.run(9)
 
     assert len(states) == 3
@@ -210,8 +210,8 @@ def test_rule_13_stop_ends_a_capture_and_leaves_the_stream() -> None:
 
 def test_rule_13_the_ack_of_a_stop_carries_the_tick_that_comes_next() -> None:
     host = Host()
-    host.ask("SET_MODE", mode=1)
-    shown = host.run(3)[-1].sequence
+    host.request("SET_MODE", mode=1)
+    last_sequence = host.run(3)[-1].sequence
 
     host.firmware.feed(frame("STOP", id=77), into_tick_us=700)
     answered = StreamDecoder().feed(take_output(host.firmware))
@@ -219,9 +219,9 @@ def test_rule_13_the_ack_of_a_stop_carries_the_tick_that_comes_next() -> None:
     state = host.run(1)[0]
 
     (ack, changed) = [event for event in answered if isinstance(event, Message)]
-    assert (ack.name, ack.int("tick"), changed.int("tick")) == ("ACK", shown + 1, shown + 1)
+    assert (ack.name, ack.int("tick"), changed.int("tick")) == ("ACK", last_sequence + 1, last_sequence + 1)
     assert off == 0
-    assert (state.sequence, state.flags) == (shown + 1, Mode.IDLE)
+    assert (state.sequence, state.flags) == (last_sequence + 1, Mode.IDLE)
 
 
 def test_rule_13_a_stop_leaves_a_fault() -> None:
@@ -230,7 +230,7 @@ def test_rule_13_a_stop_leaves_a_fault() -> None:
     host.run(60)
     bench.i_a = 0.0
 
-    host.ask("STOP")
+    host.request("STOP")
 
     assert host.states[-1].flags == Flag.FAULT | Mode.IDLE
 
@@ -238,7 +238,7 @@ def test_rule_13_a_stop_leaves_a_fault() -> None:
 def test_rule_13_a_stop_is_executed_whatever_its_id() -> None:
     host = Host()
     host.send(frame("STOP", id=5))
-    host.ask("SET_MODE", mode=1)
+    host.request("SET_MODE", mode=1)
 
     again = host.send(frame("STOP", id=5))
 

@@ -132,7 +132,7 @@ def test_what_is_answered_is_no_bad_frame(refused: bytes) -> None:
 def test_rule_16_limit_hit_comes_at_most_once_a_second() -> None:
     bench = Bench()
     host = Host(bench)
-    host.ask("SET_MODE", mode=2)
+    host.request("SET_MODE", mode=2)
 
     for n in range(1200):
         bench.x_m = 0.0 if n // 10 % 2 else 2.85e-3
@@ -151,7 +151,7 @@ def test_rule_16_limit_hit_comes_at_most_once_a_second() -> None:
 def test_rule_16_a_second_has_passed_after_as_many_ticks_as_last_one(gap: int, count: int) -> None:
     bench = Bench()
     host = Host(bench)
-    host.ask("SET_MODE", mode=2)
+    host.request("SET_MODE", mode=2)
     host.run(10)
 
     for _ in range(2):
@@ -166,7 +166,7 @@ def test_rule_16_a_second_has_passed_after_as_many_ticks_as_last_one(gap: int, c
 def test_rule_16_events_are_numbered_without_gaps() -> None:
     host = Host()
     for n in range(300):
-        host.ask("SET_MODE", mode=1 - n % 2)
+        host.request("SET_MODE", mode=1 - n % 2)
 
     numbers = [event.int("number") for event in host.events]
 
@@ -179,7 +179,7 @@ def test_the_tick_wraps_after_32_bits_and_the_sequence_after_16() -> None:
     host.firmware.next_tick = 2**32 - 2
 
     states = host.run(3)
-    answer = host.ask("SET_STREAM", divider=1)
+    answer = host.request("SET_STREAM", divider=1)
 
     assert [state.sequence for state in states] == [65534, 65535, 0]
     assert answer.int("tick") == 1

@@ -56,11 +56,11 @@ def test_fixed_point_costs_a_fraction_of_what_the_converter_costs(capsys: pytest
         x_previous = x + chance.randrange(-700, 701)  # 0.5 m/s: as fast as the ball gets within its travel
         law.run(i, x_previous, x_previous)
         law.sum = chance.randrange(-120_000, 120_000)  # 120 000: k_int times it is the whole input range
-        wanted = float_law(i, x, x_previous, law.sum)
-        before_rounding.append(law.accumulate(i, x, x) / 256 - wanted)
+        expected = float_law(i, x, x_previous, law.sum)
+        before_rounding.append(law.accumulate(i, x, x) / 256 - expected)
         u, limited = law.run(i, x, x)
         if not limited:
-            after.append(u - wanted)
+            after.append(u - expected)
 
     rms = (sum(e * e for e in after) / len(after)) ** 0.5
     raw_rms = (sum(e * e for e in before_rounding) / len(before_rounding)) ** 0.5
@@ -148,28 +148,28 @@ def test_the_ball_is_lifted_from_the_bottom_stop_and_follows_references(law: Law
         gains = PID_GAINS
         numbers = {f"k{n}_mantissa": m for n, m in enumerate(gains.mantissas, 1)}
         numbers |= {f"k{n}_shift": s for n, s in enumerate(gains.shifts, 1)}
-        answer = host.ask("SET_GAINS", law=1, **numbers, i_0=gains.i_0, x_0=gains.x_0, u_0=gains.u_0)
+        answer = host.request("SET_GAINS", law=1, **numbers, i_0=gains.i_0, x_0=gains.x_0, u_0=gains.u_0)
         assert answer.name == "ACK"
     assert plant.x_m == 0.0
 
-    host.ask("SET_MODE", mode=2)
-    settled_s = []
+    host.request("SET_MODE", mode=2)
+    settling_s = []
     for reference_m in REFERENCES_M:
-        assert host.ask("SET_REFERENCE", x_ref=POSITION.to_count(reference_m)).name == "ACK"
+        assert host.request("SET_REFERENCE", x_ref=POSITION.to_count(reference_m)).name == "ACK"
         track = []
         for _ in range(500):
             host.run(1)
             track.append(plant.x_m)
             if len(host.states) % 100 == 0:
-                host.ask("GET_PARAMETERS")
+                host.request("GET_PARAMETERS")
         outside = [n for n, x in enumerate(track) if abs(x - reference_m) > 50e-6]
-        settled_s.append((outside[-1] + 1) * T_S_US * 1e-6 if outside else 0.0)
+        settling_s.append((outside[-1] + 1) * T_S_US * 1e-6 if outside else 0.0)
         mean = sum(track[-100:]) / 100
         # 5 um sensor noise through the loop; the mean of 100 samples is within a count and the noise's own mean.
         assert abs(mean - reference_m) < 5e-6
         assert max(abs(x - mean) for x in track[-100:]) < 30e-6
 
-    assert max(settled_s) < 0.4, settled_s  # five time constants of the integral at 14 rad/s, from a jump of 2 mm
+    assert max(settling_s) < 0.4, settling_s  # five time constants of the integral at 14 rad/s, from a jump of 2 mm
 
 
 def test_the_speed_is_zero_at_the_first_tick_of_closed_loop() -> None:

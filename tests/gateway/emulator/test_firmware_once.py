@@ -31,7 +31,7 @@ class RetryingHost(RuleBasedStateMachine):
         super().__init__()
         self.host = self.board()
         self.id = 1
-        self.wanted = 0  # distinct commands that reached the board at least once
+        self.delivered = 0  # distinct commands that reached the board at least once
         self.outstanding: bytes | None = None
         self.reached = False
 
@@ -51,7 +51,7 @@ class RetryingHost(RuleBasedStateMachine):
         for _ in range(times):
             self.host.firmware.feed(self.outstanding)
             self.host.run(gap, alive=False)
-        self.wanted += not self.reached
+        self.delivered += not self.reached
         self.reached = True
 
     @rule(at=st.integers(0, 14), bit=st.integers(0, 7))
@@ -68,7 +68,7 @@ class RetryingHost(RuleBasedStateMachine):
         self.host.firmware.feed(bytes(damaged) + b"\x00")
 
     @rule()
-    def say_hello_again(self) -> None:
+    def repeat_hello(self) -> None:
         """The same session: ids stay."""
         self.host.firmware.feed(frame("HELLO", id=self.host.next_id(), session=1, version_min=1, version_max=1))
 
@@ -76,8 +76,8 @@ class RetryingHost(RuleBasedStateMachine):
     def executed_once(self) -> None:
         """As many captures as distinct commands, and the same answer to the same command."""
         self.host.run(15, alive=False)
-        done = sum(event.int("code") == 10 for event in self.host.events)
-        assert done == self.wanted
+        executions = sum(event.int("code") == 10 for event in self.host.events)
+        assert executions == self.delivered
         answers = [a for a in self.host.answers if a.name != "IDENTITY" and a.int("id") == self.id]
         answers = [a for a in answers if not (a.name == "NACK" and a.int("reason") == Reason.BAD_LENGTH)]
         assert len({(a.name, *a.values.values()) for a in answers}) <= 1
@@ -124,7 +124,7 @@ def test_repeated_references_use_up_the_allowance_once(jumps: list[int], repeats
         often.run(3, alive=False)
 
     far = LIMITS.x_ref_min if x_ref >= 2034 else LIMITS.x_ref_max  # refused with the allowance as its detail
-    assert once.ask("SET_REFERENCE", x_ref=far) == often.ask("SET_REFERENCE", x_ref=far)
+    assert once.request("SET_REFERENCE", x_ref=far) == often.request("SET_REFERENCE", x_ref=far)
     assert once.states == often.states
 
 

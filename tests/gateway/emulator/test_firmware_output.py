@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("each_firmware")
 CODE = 1759
 UNCONFIRMED_TICKS = 5
 UNCOMMANDED_TICKS = 100
-ONE_A = 1.0
+TEST_CURRENT_A = 1.0
 open_loop = partial(open_loop_at, CODE)
 
 
@@ -37,7 +37,7 @@ def test_a_stop_that_a_deaf_converter_does_not_take_is_a_fault_and_u_c_says_what
     host = open_loop(bench)
     host.firmware.fail_output(OutputFault.DEAF)
 
-    answer = host.ask("STOP")
+    answer = host.request("STOP")
     host.run(UNCONFIRMED_TICKS)
 
     assert answer.name == "ACK"
@@ -76,7 +76,7 @@ def test_after_a_reset_with_a_deaf_converter_u_c_is_all_that_it_may_give() -> No
     host = open_loop()
     host.firmware.fail_output(OutputFault.DEAF)
 
-    host.ask("RESET")
+    host.request("RESET")
     host.run(BOOT_TICKS + 1 + UNCONFIRMED_TICKS, alive=False)
 
     assert host.firmware.u == CODE
@@ -90,10 +90,10 @@ def test_set_mode_clears_the_fault_only_where_the_converter_answers() -> None:
     host.firmware.fail_output(OutputFault.DEAF)
     host.run(10)
 
-    host.ask("SET_MODE", mode=2)
+    host.request("SET_MODE", mode=2)
     again, flags = host.details(EventCode.OUTPUT_FAULT), host.states[-1].flags
     host.firmware.fail_output(OutputFault.NONE)
-    host.ask("SET_MODE", mode=1)
+    host.request("SET_MODE", mode=1)
 
     assert again == [CODE, CODE]
     assert flags & (Flag.FAULT | 3) == Flag.FAULT | Mode.IDLE
@@ -102,13 +102,13 @@ def test_set_mode_clears_the_fault_only_where_the_converter_answers() -> None:
 
 def test_a_step_of_a_capture_that_is_not_confirmed_ends_it() -> None:
     host = Host()
-    host.ask("CAPTURE", u_from=300, u_to=1700, pre=90, count=2000)
+    host.request("CAPTURE", u_from=300, u_to=1700, pre=90, count=2000)
     host.run(9)
     host.firmware.fail_output(OutputFault.DEAF)
     host.run(3)
     before = host.states[-1].u_c  # 22 ms: the step is at 23.6
     host.run(20)
-    refused = host.ask("READ_CAPTURE", index=0)
+    refused = host.request("READ_CAPTURE", index=0)
 
     assert before == 300
     assert {state.u_c for state in host.states[-20:]} == {300}
@@ -120,7 +120,7 @@ def test_a_step_of_a_capture_that_is_not_confirmed_ends_it() -> None:
 
 
 def test_a_current_while_u_c_is_0_is_a_fault() -> None:
-    bench = Bench(i_a=ONE_A)
+    bench = Bench(i_a=TEST_CURRENT_A)
     host = Host(bench)
     host.run(UNCOMMANDED_TICKS - 1)
     before = host.codes()
@@ -143,7 +143,7 @@ def test_a_driver_that_is_shorted_is_told_although_another_fault_came_first() ->
     assert faults[-2:] == [EventCode.OVER_CURRENT, EventCode.UNCOMMANDED_CURRENT]
 
 
-@pytest.mark.parametrize(("i_a", "u"), [(0.24, 0), (ONE_A, CODE)])
+@pytest.mark.parametrize(("i_a", "u"), [(0.24, 0), (TEST_CURRENT_A, CODE)])
 def test_neither_a_small_current_nor_one_that_was_ordered_is(i_a: float, u: int) -> None:
     host = open_loop(Bench(i_a=i_a)) if u else Host(Bench(i_a=i_a))
 
@@ -170,7 +170,7 @@ def test_neither_a_small_current_nor_one_that_was_ordered_is(i_a: float, u: int)
 def test_a_stored_setting_out_of_its_range_gives_way_to_those_of_the_program(stored: Settings, field: int) -> None:
     host = rebooted(stored)
 
-    parameters = host.ask("GET_PARAMETERS")
+    parameters = host.request("GET_PARAMETERS")
 
     assert host.details(EventCode.SETTINGS_REJECTED) == [field]
     assert host.codes()[-2:] == [EventCode.RESET_COMMANDED, EventCode.SETTINGS_REJECTED]
@@ -181,7 +181,7 @@ def test_a_stored_setting_out_of_its_range_gives_way_to_those_of_the_program(sto
 def test_stored_settings_within_their_ranges_are_in_force() -> None:
     host = rebooted(settings(u_max=3000))
 
-    assert host.ask("GET_PARAMETERS").int("u_max") == 3000
+    assert host.request("GET_PARAMETERS").int("u_max") == 3000
     assert EventCode.SETTINGS_REJECTED not in host.codes()
 
 
@@ -190,7 +190,7 @@ def test_whatever_a_memory_holds_parameters_is_a_frame_that_every_host_accepts(s
     stored = random_settings(random.Random(seed))
     host = rebooted(stored)  # any frame that the decoder refuses fails in there
 
-    parameters = host.ask("GET_PARAMETERS").values
+    parameters = host.request("GET_PARAMETERS").values
 
     ranges = {field.name: (field.low, field.high) for field in ROW_OF_NAME["PARAMETERS"].fields}
     for name, value in parameters.items():
@@ -200,15 +200,15 @@ def test_whatever_a_memory_holds_parameters_is_a_frame_that_every_host_accepts(s
         assert high is not None
         assert low <= value <= high, name
     assert int(parameters["x_ref_min"]) <= int(parameters["x_ref_max"])
-    kept = (parameters["x_ref_min"], parameters["k1_shift"]) == (stored.limits.x_ref_min, stored.gains.shifts[0])
-    assert kept != (EventCode.SETTINGS_REJECTED in host.codes())
+    is_restored = (parameters["x_ref_min"], parameters["k1_shift"]) == (stored.limits.x_ref_min, stored.gains.shifts[0])
+    assert is_restored != (EventCode.SETTINGS_REJECTED in host.codes())
 
 
 def rebooted(stored: Settings) -> Host:
     """A host whose board has these settings in its memory and was reset, with a session."""
     host = Host()
     host.firmware.store(stored)
-    host.ask("RESET")
+    host.request("RESET")
     host.run(BOOT_TICKS + 1, alive=False)
     host.hello(2)
     return host
@@ -216,30 +216,30 @@ def rebooted(stored: Settings) -> Host:
 
 def test_idle_in_idle_after_a_capture_leaves_what_a_deaf_converter_confirmed() -> None:
     host = Host()
-    host.ask("CAPTURE", u_from=0, u_to=900, pre=1, count=20)
+    host.request("CAPTURE", u_from=0, u_to=900, pre=1, count=20)
     host.run(20)
     assert host.states[-1].u_c == 0
     host.firmware.fail_output(OutputFault.DEAF)
 
-    host.ask("SET_MODE", mode=0)
+    host.request("SET_MODE", mode=0)
 
     assert host.states[-1].u_c == 0
 
 
 def test_a_reference_in_open_loop_does_not_end_the_signal_of_the_input() -> None:
     host = open_loop()
-    host.ask("EXCITE", shape=2, target=0, offset=CODE, **(QUIET | {"amplitude": 50, "period": 10}))
+    host.request("EXCITE", shape=2, target=0, offset=CODE, **(QUIET | {"amplitude": 50, "period": 10}))
     host.run(10)
 
-    assert host.ask("SET_REFERENCE", x_ref=2034).name == "ACK"
+    assert host.request("SET_REFERENCE", x_ref=2034).name == "ACK"
 
     assert {state.u_c for state in host.run(20)} == {CODE - 50, CODE + 50}
 
 
-@pytest.mark.parametrize(("count", "told"), [(511, []), (512, [512])])
-def test_a_current_is_uncommanded_from_an_eighth_of_its_range_on(count: int, told: list[int]) -> None:
+@pytest.mark.parametrize(("count", "details"), [(511, []), (512, [512])])
+def test_a_current_is_uncommanded_from_an_eighth_of_its_range_on(count: int, details: list[int]) -> None:
     host = Host(Bench(i_a=CURRENT.to_si(count)))
 
     host.run(UNCOMMANDED_TICKS + 2)
 
-    assert host.details(EventCode.UNCOMMANDED_CURRENT) == told
+    assert host.details(EventCode.UNCOMMANDED_CURRENT) == details

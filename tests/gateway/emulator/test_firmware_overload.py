@@ -17,8 +17,8 @@ pytestmark = pytest.mark.usefixtures("each_firmware")
 def overloaded(bench: Bench | None = None) -> Host:
     """A board in open loop whose answers and commands are all waiting, as its line takes nothing."""
     host = Host(bench)
-    host.ask("SET_MODE", mode=1)
-    host.ask("EXCITE", shape=0, target=0, offset=900, amplitude=0, period=1, period_end=1, seed=1, duration=0)
+    host.request("SET_MODE", mode=1)
+    host.request("EXCITE", shape=0, target=0, offset=900, amplitude=0, period=1, period_end=1, seed=1, duration=0)
     for n in range(8):
         host.firmware.feed(frame("PING", id=100 + n))
         host.firmware.tick()
@@ -72,11 +72,11 @@ def test_a_stop_acts_though_nothing_has_room() -> None:
 def test_what_a_stop_has_overtaken_is_refused_for_good(name: str, fields: dict[str, int]) -> None:
     host = Host()
     extra = {"pre": 0, "count": 5} if name == "CAPTURE" else {}
-    late = frame(name, id=90, **fields, **extra)
+    overtaken = frame(name, id=90, **fields, **extra)
 
-    host.firmware.feed(frame("PING", id=89) + late + frame("STOP", id=91))
+    host.firmware.feed(frame("PING", id=89) + overtaken + frame("STOP", id=91))
     states = host.run(3)
-    repeated = host.send(late)
+    repeated = host.send(overtaken)
 
     assert {(state.u_c, state.flags) for state in states} == {(0, Mode.IDLE)}
     assert refusal(repeated) == (Reason.BUSY, 0)

@@ -25,7 +25,7 @@ def test_rule_1_a_board_boots_idle_with_defaults_from_flash() -> None:
 
     first, *_ = host.run(3)
     host.hello(5)
-    parameters = host.ask("GET_PARAMETERS")
+    parameters = host.request("GET_PARAMETERS")
 
     assert first == State(0, 0, POSITION.to_count(2.85e-3), 0, GAINS.x_0, Mode.IDLE)
     assert [state.sequence for state in host.states[:3]] == [0, 1, 2]
@@ -43,9 +43,9 @@ def test_rule_1_a_board_boots_idle_with_defaults_from_flash() -> None:
 
 def test_rule_1_reset_is_acknowledged_first_and_forgets_everything() -> None:
     host = open_loop(1000)
-    host.ask("SET_STREAM", divider=2)
+    host.request("SET_STREAM", divider=2)
 
-    answer = host.ask("RESET")
+    answer = host.request("RESET")
     host.run(BOOT_TICKS + 3, alive=False)
 
     assert answer.name == "ACK"
@@ -53,7 +53,7 @@ def test_rule_1_reset_is_acknowledged_first_and_forgets_everything() -> None:
     assert host.events[-1].int("detail") == 1
     assert [state.sequence for state in host.states[-2:]] == [0, 1]
     assert host.states[-1].u_c == 0
-    assert refusal(host.ask("SET_STREAM", divider=1)) == (Reason.NO_SESSION, 0)
+    assert refusal(host.request("SET_STREAM", divider=1)) == (Reason.NO_SESSION, 0)
 
 
 def test_rule_1_a_hanging_firmware_holds_its_output_until_the_watchdog_resets_it() -> None:
@@ -78,9 +78,9 @@ def test_rule_1_state_goes_out_where_the_divider_divides_the_tick_whenever_it_wa
     host = Host()
     host.run(3)
 
-    answer = host.ask("SET_STREAM", divider=7)
+    answer = host.request("SET_STREAM", divider=7)
     host.run(40)
-    back = host.ask("SET_STREAM", divider=1)
+    back = host.request("SET_STREAM", divider=1)
 
     since = [state.sequence for state in host.states if state.sequence >= answer.int("tick")]
     assert answer.int("tick") % 7
@@ -89,7 +89,7 @@ def test_rule_1_state_goes_out_where_the_divider_divides_the_tick_whenever_it_wa
 
 def test_rule_1_the_phase_of_the_stream_counts_from_0_again_where_the_tick_wraps() -> None:
     host = Host()
-    host.ask("SET_STREAM", divider=10)
+    host.request("SET_STREAM", divider=10)
     host.firmware.next_tick = 2**32 - 20
 
     states = host.run(40)
@@ -99,15 +99,15 @@ def test_rule_1_the_phase_of_the_stream_counts_from_0_again_where_the_tick_wraps
 
 def test_rule_1_the_allowance_is_full_after_a_reset() -> None:
     host = Host()
-    host.ask("SET_REFERENCE", x_ref=LIMITS.x_ref_max)
-    host.ask("RESET")
+    host.request("SET_REFERENCE", x_ref=LIMITS.x_ref_max)
+    host.request("RESET")
     host.run(BOOT_TICKS + 1, alive=False)
     host.hello(2)
 
-    beyond = host.ask("SET_REFERENCE", x_ref=GAINS.x_0 - LIMITS.x_ref_step - 1)
-    whole = host.ask("SET_REFERENCE", x_ref=GAINS.x_0 - LIMITS.x_ref_step)
+    too_far = host.request("SET_REFERENCE", x_ref=GAINS.x_0 - LIMITS.x_ref_step - 1)
+    whole = host.request("SET_REFERENCE", x_ref=GAINS.x_0 - LIMITS.x_ref_step)
 
-    assert refusal(beyond) == (Reason.SLEW, LIMITS.x_ref_step)
+    assert refusal(too_far) == (Reason.SLEW, LIMITS.x_ref_step)
     assert whole.name == "ACK"
 
 
@@ -118,13 +118,13 @@ def test_rule_2_without_a_session_only_hello_ping_and_stop_are_heard() -> None:
     host = Host(session=False)
 
     refused = [
-        host.ask("SET_MODE", mode=2),
-        host.ask("SET_REFERENCE", x_ref=GAINS.x_0),
-        host.ask("GET_PARAMETERS"),
-        host.ask("RESET"),
-        host.ask("READ_CAPTURE", index=0),
+        host.request("SET_MODE", mode=2),
+        host.request("SET_REFERENCE", x_ref=GAINS.x_0),
+        host.request("GET_PARAMETERS"),
+        host.request("RESET"),
+        host.request("READ_CAPTURE", index=0),
     ]
-    stopped = host.ask("STOP")
+    stopped = host.request("STOP")
     host.firmware.feed(frame("PING", id=77))
     host.firmware.tick()
     pong = StreamDecoder().feed(take_output(host.firmware))[1]
@@ -137,8 +137,8 @@ def test_rule_2_without_a_session_only_hello_ping_and_stop_are_heard() -> None:
 
 def test_rule_2_hello_changes_neither_mode_nor_reference() -> None:
     host = Host()
-    host.ask("SET_MODE", mode=2)
-    host.ask("SET_REFERENCE", x_ref=GAINS.x_0 + 100)
+    host.request("SET_MODE", mode=2)
+    host.request("SET_REFERENCE", x_ref=GAINS.x_0 + 100)
 
     host.hello(99)
     state = host.run(1)[0]
@@ -170,7 +170,7 @@ def test_rule_2_the_board_speaks_version_1(low: int, high: int, served: bool) ->
         assert (answer.name, answer.int("version")) == ("IDENTITY", 1)
     else:
         assert refusal(answer) == (Reason.VERSION, 1)
-        assert refusal(host.ask("GET_PARAMETERS")) == (Reason.NO_SESSION, 0)
+        assert refusal(host.request("GET_PARAMETERS")) == (Reason.NO_SESSION, 0)
 
 
 # Rule 3
@@ -181,7 +181,7 @@ def test_rule_3_a_repeated_command_is_answered_with_the_kept_answer() -> None:
     step = frame("SET_REFERENCE", id=40, x_ref=GAINS.x_0 + 1000)
 
     first = host.send(step)
-    host.ask("SET_REFERENCE", x_ref=GAINS.x_0 + 1100)
+    host.request("SET_REFERENCE", x_ref=GAINS.x_0 + 1100)
     again = host.send(step)
 
     assert again == first
@@ -293,11 +293,11 @@ def test_rule_3_an_answer_says_what_was_in_force_when_its_command_was_executed()
     host.firmware.feed(frame("SET_STREAM", id=91, divider=7))
     host.firmware.tick()
 
-    late, _ = [event for event in StreamDecoder().feed(take_output(host.firmware)) if isinstance(event, Message)]
+    delayed, _ = [event for event in StreamDecoder().feed(take_output(host.firmware)) if isinstance(event, Message)]
     repeated = host.send(frame("GET_PARAMETERS", id=90))
 
-    assert (late.name, late.int("divider")) == ("PARAMETERS", 1)
-    assert repeated == late
+    assert (delayed.name, delayed.int("divider")) == ("PARAMETERS", 1)
+    assert repeated == delayed
 
 
 def test_rule_3_a_stop_with_a_kept_id_is_the_newest_of_the_eight() -> None:

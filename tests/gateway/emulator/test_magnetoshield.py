@@ -41,12 +41,12 @@ class Flight:
     def settle_at(self, x_m: float) -> float:
         """Mean of the true position, m, in the last half of a second."""
         self.send("SET_REFERENCE", x_ref=PROFILE.position.to_count(x_m))
-        seen = []
+        positions_m = []
         for _ in range(750):
             self.board.tick()
             take_output(self.board)
-            seen.append(self.plant.x_m)
-        return statistics.mean(seen[-250:])
+            positions_m.append(self.plant.x_m)
+        return statistics.mean(positions_m[-250:])
 
 
 @pytest.mark.parametrize("firmware", ["python", "c"])
@@ -69,12 +69,12 @@ def test_the_coil_carries_the_magnet_as_published() -> None:
 
     assert MAGNETOSHIELD.equilibrium_current_a(3e-3) == pytest.approx(at_14_mm, rel=1e-6)
     plant = EmulatedMagnetoShield(QUIET)
-    for factor, rises in ((0.98, False), (1.02, True)):
+    for factor, is_lifted in ((0.98, False), (1.02, True)):
         plant.set_state(3e-3)
         volts = factor * MAGNETOSHIELD.equilibrium_input_v(3e-3)
         plant.set_state(3e-3, i_c_a=volts * MAGNETOSHIELD.amplifier_gain_a_v)
         plant.advance(PROFILE.input_pin(PROFILE.input.to_count(volts)), 0.02)
-        assert (plant.v_m_s > 0.0) == rises
+        assert (plant.v_m_s > 0.0) == is_lifted
 
 
 def test_counts_of_u_are_linear_in_the_voltage_of_the_coil() -> None:

@@ -44,9 +44,9 @@ def test_another_ball_is_lifted_and_follows_references(
     host = Host(plant, board=make(plant, profile=profile))
     travel_m = plant.rig.travel_m
 
-    host.ask("SET_MODE", mode=2)
+    host.request("SET_MODE", mode=2)
     for share in (0.5, 0.75, 0.5, 0.2):
-        assert host.ask("SET_REFERENCE", x_ref=profile.position.to_count(share * travel_m)).name == "ACK"
+        assert host.request("SET_REFERENCE", x_ref=profile.position.to_count(share * travel_m)).name == "ACK"
         host.run(400)
         heights = [(host.run(1), plant.x_m)[1] for _ in range(100)]
 
@@ -54,7 +54,7 @@ def test_another_ball_is_lifted_and_follows_references(
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (("mass_kg = 20e-3", "mass_kg = 20"), "plant.mass_kg: 20 kg is outside .* You may mean 20 g"),
         (("x_max_m = 16e-3", ""), "plant.x_max_m = 0.012 is no more than 0.1 mm above the travel"),
@@ -64,8 +64,8 @@ def test_another_ball_is_lifted_and_follows_references(
         (("5e-5", "-5e-5"), "Rig: force_constant_n_m2_a2 = -5e-05 is impossible"),
     ],
 )
-def test_a_rig_that_cannot_be_is_refused(change: tuple[str, str], said: str, tmp_path: Path) -> None:
-    with pytest.raises(Board51Error, match=said):
+def test_a_rig_that_cannot_be_is_refused(change: tuple[str, str], message: str, tmp_path: Path) -> None:
+    with pytest.raises(Board51Error, match=message):
         load_rig(file(tmp_path, HEAVY_RIG.replace(*change)))
 
 

@@ -136,8 +136,8 @@ def test_halving_the_step_divides_the_error_by_sixteen(duration_s: float) -> Non
     errors = [abs(end_m(step) - truth) for step in (80e-6, 40e-6, 20e-6)]
 
     assert errors[2] < 1e-9
-    for coarse, fine in pairwise(errors):
-        assert 12.0 < coarse / fine < 24.0  # 4th order: 16, with the next term of the series on top
+    for coarse, halved in pairwise(errors):
+        assert 12.0 < coarse / halved < 24.0  # 4th order: 16, with the next term of the series on top
 
 
 def test_a_bounce_keeps_the_restitution_share_of_the_speed() -> None:
@@ -205,12 +205,12 @@ def test_the_current_rises_exponentially_with_the_amplifiers_time_constant() -> 
 
 @pytest.mark.parametrize(("u_v", "same_as_v"), [(9.0, 5.0), (-3.0, 0.0), (math.inf, 5.0)])
 def test_the_amplifier_limits_its_input(u_v: float, same_as_v: float) -> None:
-    beyond, limit = EmulatedPlant(QUIET), EmulatedPlant(QUIET)
+    overdriven, limit = EmulatedPlant(QUIET), EmulatedPlant(QUIET)
 
-    beyond.advance(u_v, 0.01)
+    overdriven.advance(u_v, 0.01)
     limit.advance(same_as_v, 0.01)
 
-    assert beyond.i_c_a == limit.i_c_a
+    assert overdriven.i_c_a == limit.i_c_a
 
 
 def test_the_current_stays_within_its_range() -> None:
@@ -263,11 +263,11 @@ def test_sensor_noise_has_the_rigs_standard_deviation_and_no_bias() -> None:
 
 
 def test_asking_for_lost_frames_leaves_the_noise_alone() -> None:
-    asked, silent = EmulatedPlant(seed=4), EmulatedPlant(seed=4)
+    queried, silent = EmulatedPlant(seed=4), EmulatedPlant(seed=4)
 
-    drops = [asked.drop_sample() for _ in range(100)]
+    drops = [queried.drop_sample() for _ in range(100)]
 
-    assert asked.sense() == silent.sense()
+    assert queried.sense() == silent.sense()
     assert not any(drops)
 
 
@@ -297,14 +297,14 @@ def test_without_a_compiler_the_same_numbers_come_out() -> None:
         "plant.advance(5.0, 0.03); plant.advance(0.0, 0.03)\n"
         "print(repr((plant.i_c_a, plant.x_m, plant.v_m_s)))\n"
     )
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=HANG_S, check=True
     )
     plant = EmulatedPlant(effects={"coulomb-friction": 0.002, "eddy-current-lag": 0.001}, seed=1)
     plant.advance(5.0, 0.03)
     plant.advance(0.0, 0.03)
 
-    plain = [float(number) for number in done.stdout.strip(" ()\n").split(",")]
+    plain = [float(number) for number in process.stdout.strip(" ()\n").split(",")]
     assert plain == pytest.approx([plant.i_c_a, plant.x_m, plant.v_m_s], rel=1e-9)
     assert plant.x_m > 0.0
 

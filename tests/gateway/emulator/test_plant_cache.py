@@ -24,14 +24,14 @@ def test_an_update_that_renames_a_class_does_not_stumble_over_older_machine_code
     package.mkdir()
     (package / "__init__.py").touch()
     source = Path(physics.__file__).read_text()
-    said = []
+    outputs = []
     for state in ("PlantState", "StateOfOld"):
         (package / "physics.py").write_text(source.replace("PlantState", state))
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", RUN.format(package="renamed", state=state)],
             cwd=tmp_path, capture_output=True, text=True, check=False, timeout=HANG_S,
         )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        said.append(done.stdout)
+        assert process.returncode == 0, process.stderr
+        outputs.append(process.stdout)
 
-    assert said[0] == said[1]
+    assert outputs[0] == outputs[1]

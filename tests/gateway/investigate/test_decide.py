@@ -118,9 +118,9 @@ def test_what_has_to_be_recorded_before_counts() -> None:
 
     # 9 s against 11 s; but its inputs are shares of the lift-off input, which is not known yet.
     assert MENU["prbs-open-loop"].seconds < MENU["lift-off"].seconds
-    for one in (action, scarce):
-        assert isinstance(one, Perform)
-        assert one.experiments == ("lift-off",)
+    for decision in (action, scarce):
+        assert isinstance(decision, Perform)
+        assert decision.experiments == ("lift-off",)
 
 
 def test_nothing_is_called_adequate_or_unknown_before_every_experiment_was_made() -> None:
@@ -140,10 +140,10 @@ def test_nothing_is_called_adequate_or_unknown_before_every_experiment_was_made(
 
 
 def test_one_name_is_judged_then_asked_thoroughly_then_stands() -> None:
-    judged = START + JUDGES
+    recorded = START + JUDGES
     first = next_action(answered("causes-found", suspect({})), MENU)
-    second = next_action(replace(answered("causes-found", suspect({})), recordings=frozenset(judged)), MENU)
-    third = next_action(answered("causes-found", suspect({}), recordings=judged, thorough=True), MENU)
+    second = next_action(replace(answered("causes-found", suspect({})), recordings=frozenset(recorded)), MENU)
+    third = next_action(answered("causes-found", suspect({}), recordings=recorded, thorough=True), MENU)
 
     assert isinstance(first, Perform)
     assert first.experiments == JUDGES
@@ -217,9 +217,9 @@ def test_without_a_flight_another_is_tried_and_then_given_up() -> None:
 
 
 def test_quick_is_never_thorough() -> None:
-    judged = replace(answered("causes-found", suspect({}), recordings=START + JUDGES), quick=True)
+    state = replace(answered("causes-found", suspect({}), recordings=START + JUDGES), quick=True)
 
-    assert isinstance(next_action(judged, MENU), Finish)
-    again = next_action(replace(judged, diagnosed=frozenset(START)), MENU)
+    assert isinstance(next_action(state, MENU), Finish)
+    again = next_action(replace(state, diagnosed=frozenset(START)), MENU)
     assert isinstance(again, Diagnose)
     assert not again.thorough

@@ -73,9 +73,9 @@ def test_an_interrupted_investigation_parks_the_ball_goes_on_and_ends_with_the_n
     assert f"To continue: board51 investigate rig --out {folder}" in err
     assert "Traceback" not in err
 
-    said = capsys.readouterr()
-    table = json.loads(said.out)
-    assert code == 0, said.err
+    captured = capsys.readouterr()
+    table = json.loads(captured.out)
+    assert code == 0, captured.err
     assert table["ended"]["stands"]
     assert [cause["name"] for cause in table["answer"]["causes"]] == ["quadratic-drag"]
     made = recorded(table)
@@ -120,9 +120,9 @@ def test_a_class_that_the_logged_flight_cannot_tell_apart_is_split(
         code = board51.main(words(line, folder))
         line.assert_parked()
 
-    said = capsys.readouterr()
-    assert code == 0, said.err
-    table = json.loads(said.out)
+    captured = capsys.readouterr()
+    assert code == 0, captured.err
+    table = json.loads(captured.out)
     first = steps_of(table, "diagnosed")[0]
     assert first["recordings"] == ["steps"], "what is logged is looked at first"
     (class_,) = first["found"]["causes"]
@@ -141,10 +141,10 @@ def test_a_class_that_the_logged_flight_cannot_tell_apart_is_split(
 def test_a_budget_that_pays_for_nothing_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = board51.main(["investigate", "rig", "--out", str(tmp_path / "i"), "--budget", "5"])
 
-    said = capsys.readouterr()
+    captured = capsys.readouterr()
     assert code == 1
-    assert "the budget is spent" in said.err
-    assert "no diagnosis yet" in said.out
+    assert "the budget is spent" in captured.err
+    assert "no diagnosis yet" in captured.out
 
 
 def test_a_dry_run_says_what_would_be_first_and_touches_nothing(
@@ -171,7 +171,7 @@ def test_a_gateway_that_is_not_there_is_one_line_and_nothing_is_lost(
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("{", "investigation.json, line 1: not JSON"),
         ('{"format": 7, "board": "rig", "steps": []}', "investigation.json: format = 7 is not 1"),
@@ -186,7 +186,7 @@ def test_a_gateway_that_is_not_there_is_one_line_and_nothing_is_lost(
     ],
 )
 def test_a_folder_that_is_damaged_or_another_s_is_refused(
-    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "investigation.json").write_text(text)
 
@@ -194,16 +194,16 @@ def test_a_folder_that_is_damaged_or_another_s_is_refused(
 
     err = capsys.readouterr().err
     assert code == 2
-    assert said in err
+    assert message in err
     assert len(err.strip().splitlines()) == 1
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [(("--budget", "nan"), "--budget nan"), (("--budget", "0"), "--budget 0"), (("--site", "a/b"), "--site")],
 )
 def test_options_that_make_no_sense_are_refused(
-    more: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    more: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert board51.main(["investigate", "rig", "--out", str(tmp_path / "i"), *more]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err

@@ -11,10 +11,10 @@ from tests.harness.gateway.gateway_peers import Collector
 from tests.harness.gateway.heavy_rig import HEAVY
 
 OF_FILE = pb.PlantCard(plant=HEAVY, who="ana", stated_ns=5)
-CE152, OWN_RIG, REAL = (1, "1.2 emulated"), (1, "1.2 emul-own"), (7, "1.0 at89c51")
+CE152, CUSTOM_RIG, REAL = (1, "1.2 emulated"), (1, "1.2 emul-own"), (7, "1.0 at89c51")
 
 
-class Seen:
+class ObservedKeeper:
     """A keeper, and what it has published."""
 
     def __init__(self, card: pb.PlantCard) -> None:
@@ -33,50 +33,50 @@ class Seen:
 
 
 def test_a_card_of_a_file_takes_the_first_board_that_comes() -> None:
-    seen = Seen(OF_FILE)
+    observed = ObservedKeeper(OF_FILE)
 
-    card = seen.after(REAL, REAL)
+    card = observed.after(REAL, REAL)
 
     assert (card.plant, card.who, card.stated_ns, card.board) == (HEAVY, "ana", 5, "7 at89c51")
-    assert len(seen.sink.messages["plant"]) == 1
+    assert len(observed.sink.messages["plant"]) == 1
 
 
 @pytest.mark.parametrize("firmware", ["1.1 at89c51", "2.0 at89c51"])
 def test_another_version_of_the_firmware_is_the_same_board(firmware: str) -> None:
-    seen = Seen(OF_FILE)
+    observed = ObservedKeeper(OF_FILE)
 
-    assert seen.after(REAL, (7, firmware)).plant == HEAVY
-    assert seen.events == []
+    assert observed.after(REAL, (7, firmware)).plant == HEAVY
+    assert observed.events == []
 
 
-@pytest.mark.parametrize("other", [(8, "1.0 at89c51"), OWN_RIG])
+@pytest.mark.parametrize("other", [(8, "1.0 at89c51"), CUSTOM_RIG])
 def test_with_another_board_a_card_is_doubted_once(other: tuple[int, str]) -> None:
-    seen = Seen(OF_FILE)
+    observed = ObservedKeeper(OF_FILE)
 
-    card = seen.after(REAL, other, other)
+    card = observed.after(REAL, other, other)
 
     assert card.plant == HEAVY
-    assert seen.events == ["plant-of-another-board"]
+    assert observed.events == ["plant-of-another-board"]
 
 
 def test_an_emulated_ce_152_has_its_own_plant_after_another_rig_and_none_is_left_for_a_real_one() -> None:
-    seen = Seen(OF_FILE)
+    observed = ObservedKeeper(OF_FILE)
 
-    emulated = seen.after(OWN_RIG, CE152)
-    left = seen.after(REAL)
+    emulated = observed.after(CUSTOM_RIG, CE152)
+    left = observed.after(REAL)
 
     assert (emulated.who, emulated.plant.mass_kg) == (EMULATED, 8.28e-3)
-    assert seen.events == ["plant-stated"]
+    assert observed.events == ["plant-stated"]
     assert not left.HasField("plant")
 
 
 def test_what_was_stated_for_an_emulated_ce_152_stays() -> None:
-    seen = Seen(pb.PlantCard())
-    seen.after(CE152)
-    seen.keeper.take(
+    observed = ObservedKeeper(pb.PlantCard())
+    observed.after(CE152)
+    observed.keeper.take(
         pb.Command(who="ana", set_plant=pb.SetPlant(plant=HEAVY)), 200, tick=0, session=0, highest_reference_m=None
     )
 
-    card = seen.after(CE152)
+    card = observed.after(CE152)
 
     assert (card.plant, card.who, card.board) == (HEAVY, "ana", "1 emulated")

@@ -48,7 +48,7 @@ class SocketBoard(ScriptedBoard):
 
 def modes(board: ScriptedBoard) -> list[int]:
     """Of each SET_MODE; the repetitions of one have its id."""
-    return list({m.int("id"): m.int("mode") for m in board.heard if m.name == "SET_MODE"}.values())
+    return list({m.int("id"): m.int("mode") for m in board.received if m.name == "SET_MODE"}.values())
 
 
 def unanswered(reply: pb.CommandReply) -> pb.CommandReply | None:
@@ -73,15 +73,15 @@ def test_what_was_given_up_while_the_board_did_not_read_never_reaches_it(kind: t
         board.reading = False
         ids = (f"early{n}" for n in itertools.count())  # the last one perhaps before the gateway can know
         early = wait_for(lambda: unanswered(bus.command(next(ids), set_mode=CLOSED)), "time-out")
-        late = [bus.command(f"late{n}", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP)) for n in range(3)]
+        unsent = [bus.command(f"late{n}", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP)) for n in range(3)]
         gains = bus.command("gains", set_reference=pb.SetReference(x_ref_m=1e-3))
 
         board.reading = True
         ping_after(board)
         again = bus.command("late0", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP))
 
-    assert [(r.reason, r.attempts) for r in (*late, gains)] == [("timed-out", 0)] * 4
-    assert all("never will" in r.text for r in late)
+    assert [(r.reason, r.attempts) for r in (*unsent, gains)] == [("timed-out", 0)] * 4
+    assert all("never will" in r.text for r in unsent)
     assert early.attempts == 0 or "unknown" in early.text
     assert again.accepted  # the line moves again, and so do commands; it is the only one in open loop
     assert modes(board).count(1) == 1
@@ -92,7 +92,7 @@ def test_what_the_port_does_not_take_expires_and_stop_goes_first() -> None:
     with ScriptedBoard() as board, gateway_and_client(gateway_config(board.url, **QUICK)) as bus:
         wait_for(lambda: bus.messages["rig/parameters"], "parameters")
         termios.tcflow(board.slave, termios.TCOOFF)  # the kernel takes no more bytes of this port
-        ping_limit = len(board.heard)
+        ping_limit = len(board.received)
         mode = bus.command("mode", set_mode=CLOSED)
         stop = bus.command("stop", stop=pb.Stop())
 
@@ -104,7 +104,7 @@ def test_what_the_port_does_not_take_expires_and_stop_goes_first() -> None:
     assert (stop.reason, stop.attempts) == ("timed-out", 0)
     assert "is sent as soon as" in stop.text
     assert modes(board) == []
-    assert [m.name for m in board.heard[ping_limit:] if m.name not in ("PING", "GET_PARAMETERS")] == ["STOP"]
+    assert [m.name for m in board.received[ping_limit:] if m.name not in ("PING", "GET_PARAMETERS")] == ["STOP"]
 
 
 # -- a gateway that is killed
@@ -139,18 +139,18 @@ def test_a_command_whose_answer_died_with_the_gateway_is_not_executed_again_by_t
         board._answers = lambda _: None
         with gateway_process(board.url, endpoint), client(endpoint) as bus:
             wait_for(bus.states, "states")
-            again = bus.ask(command.SerializeToString())
+            again = bus.request(command.SerializeToString())
             wait_for(lambda: dated(bus, ping=pb.Ping()).accepted, "a gateway that is old enough")
-            later = bus.ask(command.SerializeToString())
+            later = bus.request(command.SerializeToString())
 
     assert (again.reason, later.reason) == ("not-fresh", "not-fresh")
-    by_the_next = board.names()[len(board.names()) - board.names()[::-1].index("HELLO") :]
-    assert "GET_PARAMETERS" in by_the_next
-    assert "SET_MODE" not in by_the_next
+    next_commands = board.names()[len(board.names()) - board.names()[::-1].index("HELLO") :]
+    assert "GET_PARAMETERS" in next_commands
+    assert "SET_MODE" not in next_commands
 
 
 def dated(bus: Bus, **what: Any) -> pb.CommandReply:
-    return bus.ask(pb.Command(id=os.urandom(8).hex(), issued_ns=time.time_ns(), **what).SerializeToString())
+    return bus.request(pb.Command(id=os.urandom(8).hex(), issued_ns=time.time_ns(), **what).SerializeToString())
 
 
 def test_a_client_of_ours_gets_through_to_a_gateway_that_has_just_started() -> None:
@@ -191,16 +191,16 @@ def test_stop_by_the_same_id_stops_every_time(line: tuple[Bus, str]) -> None:
         in_mode(bus, pb.MODE_IDLE)
 
 
-def by_command_line(bus: Bus, endpoint: str) -> None:
+def end_from_command_line(bus: Bus, endpoint: str) -> None:
     assert send(endpoint, "excite", "none") == 0
 
 
-def by_page(bus: Bus, endpoint: str) -> None:
+def end_from_page(bus: Bus, endpoint: str) -> None:
     reply = bus.command(os.urandom(8).hex(), excite=pb.Excite(shape=pb.SHAPE_NONE, on_reference=True))
     assert reply.accepted, reply.text
 
 
-def by_opcua(bus: Bus, endpoint: str) -> None:
+def end_from_opcua(bus: Bus, endpoint: str) -> None:
     from asyncua import ua
 
     excite = next(method for method in methods() if method.name == "Excite")
@@ -208,7 +208,7 @@ def by_opcua(bus: Bus, endpoint: str) -> None:
     command = called(excite, [ua.Variant(values.get(a.name, 0.0), a.variant) for a in excite.arguments])
     assert isinstance(command, pb.Command)
     command.id = os.urandom(8).hex()
-    reply = bus.ask(command.SerializeToString())
+    reply = bus.request(command.SerializeToString())
     assert reply.accepted, reply.text
 
 
@@ -221,7 +221,7 @@ def test_opcua_says_of_what_kind_a_refusal_is(reason: str, code: str) -> None:
     assert code_of(pb.CommandReply(reason=reason)) == getattr(ua.StatusCodes, code)
 
 
-@pytest.mark.parametrize("end", [by_command_line, by_page, by_opcua])
+@pytest.mark.parametrize("end", [end_from_command_line, end_from_page, end_from_opcua])
 @pytest.mark.parametrize(
     ("mode", "signal", "amplitude", "words"),
     [

@@ -38,10 +38,10 @@ PLANT = pb.Plant(name="rig", mass_kg=20e-3, travel_m=12e-3, x_max_m=16e-3, gravi
 def test_only_an_engineer_states_the_plant_and_a_stop_does_not_give_it_up(role: Role, accepted: bool) -> None:
     rig = Rig()
     rig.now_s += 10.0
-    asked = pb.Command(id="1", issued_ns=rig.now_ns, set_plant=pb.SetPlant(plant=PLANT)).SerializeToString()
-    rig.ask(pb.Command(stop=pb.Stop()).SerializeToString(), role=role)
+    request = pb.Command(id="1", issued_ns=rig.now_ns, set_plant=pb.SetPlant(plant=PLANT)).SerializeToString()
+    rig.request(pb.Command(stop=pb.Stop()).SerializeToString(), role=role)
 
-    (reply,) = rig.ask(asked, role=role)
+    (reply,) = rig.request(request, role=role)
 
     assert reply.accepted == accepted
     assert reply.reason == ("" if accepted else "not-allowed")
@@ -107,7 +107,7 @@ def test_whatever_a_command_says_it_is_answered_with_its_id_and_recorded(command
             rig.known.sample = event  # type: ignore[assignment]  # samples alone come of states
     rig.now_s += 0.01
 
-    (reply,) = rig.ask(command.SerializeToString())
+    (reply,) = rig.request(command.SerializeToString())
 
     (record,) = rig.records
     is_stop = command.WhichOneof("what") == "stop"
@@ -126,7 +126,7 @@ def test_bytes_of_any_kind_are_answered_and_recorded() -> None:
             data[rng.randrange(len(data))] = rng.randrange(256)
         rig.now_s += 0.01
 
-        rig.ask(bytes(data))
+        rig.request(bytes(data))
         rig.handler._retained.clear()
 
         assert len(rig.records) == n + 1

@@ -28,13 +28,13 @@ def test_no_command_acts_twice_and_no_answer_is_untrue(firmware: str, count: int
 
     account = send_all(rig, count, seed=2)
 
-    assert account.told.total() == count
+    assert account.outcomes.total() == count
     assert untrue(account) == [], account
     for wire in (rig.to_board, rig.from_board):
         assert wire.lost / wire.carried == pytest.approx(LOSS, abs=0.02)
     # Of five attempts all fail with a probability of (1 - 0.8^2)^5 = 0.6 %; a STOP gives up what is under way.
-    assert account.told["acknowledged"] > 0.8 * count
-    assert account.told["link: timed-out, unknown"] > 0
+    assert account.outcomes["acknowledged"] > 0.8 * count
+    assert account.outcomes["link: timed-out, unknown"] > 0
 
 
 def untrue(account: Account) -> list[int]:

@@ -11,42 +11,42 @@ from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.played_commands import CLOSED, START_NS, Rig, S
 
 
-@pytest.mark.parametrize("others", [0, RETAINED_IDS + 10])
-def test_a_dated_command_is_executed_once_however_late_it_comes_again(others: int) -> None:
+@pytest.mark.parametrize("other_count", [0, RETAINED_IDS + 10])
+def test_a_dated_command_is_executed_once_however_late_it_comes_again(other_count: int) -> None:
     rig = Rig()
     command = pb.Command(id="a", issued_ns=rig.now_ns, set_mode=CLOSED)
-    (first,) = rig.ask(command.SerializeToString())
+    (first,) = rig.request(command.SerializeToString())
     reasons = []
     for k in range(12):
         rig.wait(2.5)
-        for n in range(others):
+        for n in range(other_count):
             assert rig.command(id=f"p{k}-{n}", ping=pb.Ping()).accepted
-        (again,) = rig.ask(command.SerializeToString())
+        (again,) = rig.request(command.SerializeToString())
         reasons.append(again.reason)
         assert again == first or again.reason == "not-fresh"
 
     assert first.accepted
     assert rig.sent("SET_MODE") == 1
     assert reasons[0] == ""
-    assert reasons[-1] == ("not-fresh" if others else "")
+    assert reasons[-1] == ("not-fresh" if other_count else "")
 
 
 def test_an_undated_command_is_executed_once_until_the_reply_says() -> None:
     rig = Rig()
     command = pb.Command(id="a", set_mode=CLOSED).SerializeToString()
-    (first,) = rig.ask(command)
+    (first,) = rig.request(command)
     assert first.repeat_until_ns == rig.now_ns + round(RETAINED_S * S)
     for n in range(RETAINED_IDS):
         rig.command(id=f"p{n}", ping=pb.Ping())
 
     rig.wait(RETAINED_S - 0.1)
-    assert rig.ask(command) == [first]
+    assert rig.request(command) == [first]
     rig.wait(0.2)
     for n in range(RETAINED_IDS):
         rig.command(id=f"q{n}", ping=pb.Ping())
-    (late,) = rig.ask(command)
+    (repeated,) = rig.request(command)
 
-    assert late.tick > first.tick  # executed again: that is what the reply said, and why a command should be dated
+    assert repeated.tick > first.tick  # executed again: that is what the reply said, and why a command should be dated
     assert rig.sent("SET_MODE") == 2
 
 
@@ -59,7 +59,7 @@ def test_a_dated_command_expires_on_every_bus(role: Role | None) -> None:
         for n, (age_s, valid_s) in enumerate([(MAX_AGE_S + 0.1, 60.0), (3.0, 2.0), (3.0, 0.0)])
     )
 
-    replies = [rig.ask(command.SerializeToString(), role=role)[0] for command in (old, brief, new)]
+    replies = [rig.request(command.SerializeToString(), role=role)[0] for command in (old, brief, new)]
 
     assert [reply.reason for reply in replies] == ["not-fresh", "not-fresh", ""]
     assert replies[0].repeat_until_ns == 0
@@ -72,7 +72,7 @@ def test_a_reply_says_whether_a_byte_went_out_and_what_never_did_may_be_tried_ag
     rig = Rig()
     rig.answering = False
     sent = pb.Command(id="a", set_mode=CLOSED).SerializeToString()
-    assert rig.ask(sent) == []
+    assert rig.request(sent) == []
     rig.wait(1.0)
     held: list[pb.CommandReply] = []
     sender = Sender(name="", role=None, arrived_ns=rig.now_ns, arrived_s=rig.now_s, started_ns=START_NS)
@@ -88,7 +88,7 @@ def test_a_reply_says_whether_a_byte_went_out_and_what_never_did_may_be_tried_ag
     assert [m.int("mode") for m in rig.wire if m.name == "SET_MODE"] == [2] * 5
 
     rig.answering = True
-    assert rig.ask(later)[0].accepted  # nothing was executed: the same id is good
+    assert rig.request(later)[0].accepted  # nothing was executed: the same id is good
 
 
 def test_a_command_does_not_outlive_the_patience_of_its_sender() -> None:

@@ -41,7 +41,7 @@ def test_what_was_issued_before_the_last_stop_is_never_sent(link: str) -> None:
     """Also where the STOP itself could not be sent, and however late the command comes."""
     rig = Rig()
     rig.now_s += 20.0
-    rig.ask(pb.Command(id="stop", stop=pb.Stop()).SerializeToString(), link=link)
+    rig.request(pb.Command(id="stop", stop=pb.Stop()).SerializeToString(), link=link)
     rig.now_s += 3.0
 
     before, after = dated(rig, 3.1, id="before", set_mode=CLOSED), dated(rig, 2.9, id="after", ping=pb.Ping())
@@ -58,9 +58,9 @@ def test_a_command_without_a_date_is_judged_by_its_arrival() -> None:
     sender = Sender(name="", role=None, arrived_ns=rig.now_ns - S, arrived_s=rig.now_s - 1.0, started_ns=START_NS)
     rig.command(id="stop", stop=pb.Stop())
     replies: list[pb.CommandReply] = []
-    late = pb.Command(id="late", set_mode=CLOSED).SerializeToString()
+    undated = pb.Command(id="late", set_mode=CLOSED).SerializeToString()
 
-    rig.handler.take(late, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
+    rig.handler.take(undated, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
     new = rig.command(id="new", set_mode=CLOSED)
 
     assert [reply.reason for reply in replies] == ["superseded-by-stop"]
@@ -124,7 +124,7 @@ def test_a_remark_and_an_acknowledgement_outlive_a_stop() -> None:
 def test_no_form_keeps_a_stop_from_the_board(fields: dict[str, Any]) -> None:
     rig = Rig()
 
-    (reply,) = rig.ask(pb.Command(**fields, stop=pb.Stop()).SerializeToString(), role=Role.OPERATOR)
+    (reply,) = rig.request(pb.Command(**fields, stop=pb.Stop()).SerializeToString(), role=Role.OPERATOR)
 
     assert reply.accepted, reply.text
     assert rig.sent("STOP") == 1
@@ -133,11 +133,11 @@ def test_no_form_keeps_a_stop_from_the_board(fields: dict[str, Any]) -> None:
 def test_neither_flood_nor_a_full_queue_keeps_a_stop_from_the_board() -> None:
     rig = Rig(commands_per_s=40.0)
     rig.answering = False
-    refused = [rig.ask(pb.Command(id=f"p{n}", ping=pb.Ping()).SerializeToString()) for n in range(60)]
+    refused = [rig.request(pb.Command(id=f"p{n}", ping=pb.Ping()).SerializeToString()) for n in range(60)]
     assert {r.reason for replies in refused for r in replies} == {"flood", "queue-full"}
 
     rig.answering = True
-    (reply,) = rig.ask(pb.Command(id="p0", stop=pb.Stop()).SerializeToString())
+    (reply,) = rig.request(pb.Command(id="p0", stop=pb.Stop()).SerializeToString())
 
     assert reply.accepted
 
@@ -175,5 +175,5 @@ def test_stop_needs_a_port_and_nothing_else(link: str) -> None:
     rig = Rig()
     rig.known.scaling = None
 
-    assert rig.ask(pb.Command(stop=pb.Stop()).SerializeToString(), link=link)[0].accepted
-    assert rig.ask(pb.Command(stop=pb.Stop()).SerializeToString(), link="absent")[0].reason == "link-down"
+    assert rig.request(pb.Command(stop=pb.Stop()).SerializeToString(), link=link)[0].accepted
+    assert rig.request(pb.Command(stop=pb.Stop()).SerializeToString(), link="absent")[0].reason == "link-down"

@@ -10,7 +10,7 @@ from protocol.wire.messages import EventCode
 
 
 @pytest.mark.parametrize(
-    ("code", "detail", "said"),
+    ("code", "detail", "sentence"),
     [
         (EventCode.LIMIT_HIT, 0, "The input u_c has reached its limit."),
         (EventCode.LIMIT_HIT, 1, "The reference has reached its limit."),
@@ -19,5 +19,5 @@ from protocol.wire.messages import EventCode
         (EventCode.MODE_CHANGED, 2, "Mode closed loop."),
     ],
 )
-def test_an_event_is_said_in_words(code: EventCode, detail: int, said: str) -> None:
-    assert of_board(BoardEvent(1, code, detail, 0))[2] == said
+def test_an_event_is_said_in_words(code: EventCode, detail: int, sentence: str) -> None:
+    assert of_board(BoardEvent(1, code, detail, 0))[2] == sentence

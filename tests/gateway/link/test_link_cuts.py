@@ -24,9 +24,9 @@ def streaming() -> tuple[BoardDriver, Collector]:
     driver = BoardDriver(BoardConfig(name="rig1", port="none"), collector, HostClock(lambda: 0, lambda: 0))
     driver.port_opened("none", START_NS * 1e-9)
     driver.poll(START_NS * 1e-9)
-    while asked := driver.output():
-        driver.wrote(len(asked))
-        for command in StreamDecoder().feed(asked):
+    while data := driver.output():
+        driver.wrote(len(data))
+        for command in StreamDecoder().feed(data):
             assert isinstance(command, Message)
             driver.received(usual_answer(command, 0), START_NS)
     driver.received(stated(0) + stated(1), START_NS)

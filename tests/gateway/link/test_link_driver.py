@@ -43,7 +43,7 @@ def linked(url: str, **options: Any) -> Iterator[tuple[BoardDriver, LinkThread, 
         link.stop()
 
 
-def asked(driver: BoardDriver, link: LinkThread, command: pb.Command) -> pb.CommandReply:
+def send_command(driver: BoardDriver, link: LinkThread, command: pb.Command) -> pb.CommandReply:
     replies: list[pb.CommandReply] = []
     link.command(driver, command.SerializeToString(), replies.append, anybody())
     return wait_for(lambda: replies[0] if replies else None, "reply")
@@ -105,7 +105,7 @@ def test_a_board_that_streams_and_answers_nothing_is_called_unanswered_until_it_
             dead = True
 
         event = wait_for(lambda: collector.event(TO_BOARD), "the event")
-        stop = asked(driver, link, pb.Command(id="s", stop=pb.Stop()))
+        stop = send_command(driver, link, pb.Command(id="s", stop=pb.Stop()))
         since, link_state = driver.report.unanswered, driver.link
         dead = False
         wait_for(lambda: driver.to_board.state == "answering", "an answer")
@@ -128,12 +128,12 @@ def test_a_board_that_answers_but_sends_no_state_is_not_streaming() -> None:
         event = wait_for(lambda: collector.event("no-states"), "the event")
         before = board.names().count("PING")
         wait_for(lambda: board.names().count("PING") > before + 2, "more answers")
-        told = (driver.link, driver.to_board.state)
+        link_state = (driver.link, driver.to_board.state)
         board.streaming = True
         wait_for(lambda: driver.link == "streaming", "stream")
 
         assert event.severity == "warning"
-        assert told == ("silent", "answering")
+        assert link_state == ("silent", "answering")
 
 
 @pytest.mark.slow
@@ -150,13 +150,13 @@ def test_an_answer_that_comes_too_late_for_its_command_shows_that_the_board_hear
     options = {"command_timeout_s": 0.05, "command_retries": 1}
     with ScriptedBoard(answers=answers) as board, linked(board.url, **options) as (driver, _, collector):
         wait_for(lambda: driver.session.counters.stray_board_answers > 8, "late answers")
-        told = [event for event in collector.messages["event"] if event.name == TO_BOARD]
+        events = [event for event in collector.messages["event"] if event.name == TO_BOARD]
         first = driver.to_board.state
         since = driver.session.counters.stray_board_answers
         wait_for(lambda: driver.session.counters.stray_board_answers > since + 40, "more of them")
 
         assert first == driver.to_board.state == "answering"
-        assert [event for event in collector.messages["event"] if event.name == TO_BOARD] == told
+        assert [event for event in collector.messages["event"] if event.name == TO_BOARD] == events
 
 
 def test_a_stream_that_is_switched_off_is_not_missed() -> None:
@@ -175,7 +175,7 @@ def test_a_stream_that_is_switched_off_is_not_missed() -> None:
 
 def test_bytes_without_frames_are_not_a_board() -> None:
     with ScriptedBoard(answers=lambda _: b"", streaming=False) as board, linked(board.url) as (_, _, collector):
-        wait_for(lambda: board.heard, "HELLO")
+        wait_for(lambda: board.received, "HELLO")
         board.send(b"$GPGGA,123519,4807.038,N*47\r\n" * 3)
 
         event = wait_for(lambda: collector.event("not-a-board"), "verdict")
@@ -251,7 +251,7 @@ def test_the_reply_says_how_often_it_was_tried() -> None:
     with ScriptedBoard(answers=answers) as board, linked(board.url, command_timeout_s=0.5) as (driver, link, _):
         wait_for(lambda: driver.link == "streaming", "stream")
 
-        reply = asked(driver, link, pb.Command(id="m", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP)))
+        reply = send_command(driver, link, pb.Command(id="m", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP)))
 
     assert (reply.accepted, reply.attempts) == (True, 3)
     assert len(set(tries)) == 1
@@ -266,13 +266,13 @@ def test_a_command_that_is_never_answered_is_a_timeout_and_is_not_tried_again_fo
         wait_for(lambda: driver.link == "streaming", "stream")
         command = pb.Command(id="m", who="me", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP))
 
-        replies = [asked(driver, link, command), asked(driver, link, command)]
+        replies = [send_command(driver, link, command), send_command(driver, link, command)]
 
         assert [(r.refused_by, r.reason) for r in replies] == [("link", "timed-out")] * 2
         (record,) = collector.messages["command/record"]
         assert (record.command.who, record.reply.reason) == ("me", "timed-out")
         assert record.received_ns < record.answered_ns
-        asked(driver, link, pb.Command(id="p", ping=pb.Ping()))  # so the board has read what came before
+        send_command(driver, link, pb.Command(id="p", ping=pb.Ping()))  # so the board has read what came before
         assert board.names().count("SET_MODE") == 2
 
 
@@ -287,7 +287,7 @@ def test_stop_overtakes_a_command_that_waits_for_its_answer() -> None:
         link.command(driver, mode.SerializeToString(), replies.append, anybody())
         wait_for(lambda: "SET_MODE" in board.names(), "SET_MODE")
 
-        stop = asked(driver, link, pb.Command(id="s", stop=pb.Stop()))
+        stop = send_command(driver, link, pb.Command(id="s", stop=pb.Stop()))
 
         assert stop.accepted
         assert [r.reason for r in replies] == ["superseded-by-stop"]
@@ -308,8 +308,8 @@ def test_a_lost_port_answers_what_was_under_way() -> None:
 
         wait_for(lambda: replies, "reply")
         assert replies[0].reason == "disconnected"
-        late = asked(driver, link, pb.Command(id="n", ping=pb.Ping()))
-        assert (late.refused_by, late.reason) == ("link", "link-down")
+        reply = send_command(driver, link, pb.Command(id="n", ping=pb.Ping()))
+        assert (reply.refused_by, reply.reason) == ("link", "link-down")
         assert collector.event("port-lost")
 
 

@@ -37,12 +37,12 @@ def test_a_port_that_opens_after_the_end_is_closed_again(monkeypatch: pytest.Mon
     leader, follower = pty.openpty()
     go_on, opened = threading.Event(), list[Port | PortProblem]()
 
-    def late(url: str, baud: int) -> Port | PortProblem:
+    def open_slowly(url: str, baud: int) -> Port | PortProblem:
         go_on.wait(HANG_S)
         opened.append(open_port(url, baud))
         return opened[0]
 
-    monkeypatch.setattr(io_thread, "open_port", late)
+    monkeypatch.setattr(io_thread, "open_port", open_slowly)
     driver = BoardDriver(BoardConfig(name="rig", port=os.ttyname(follower)), Collector(), HostClock())
     link = LinkThread([driver])
     link.start()

@@ -144,16 +144,16 @@ def test_a_handler_without_a_descriptor_is_pumped() -> None:
 
 @pytest.mark.usefixtures("windows")
 @pytest.mark.parametrize(
-    ("said", "kind"),
+    ("message", "kind"),
     [
         ("could not open port 'COM3': FileNotFoundError(2, 'The system cannot find the file.', None, 2)", "absent"),
         ("could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)", "busy"),
         ("Cannot configure port, something went wrong.", "failed"),
     ],
 )
-def test_a_com_port_that_does_not_open_says_why(monkeypatch: pytest.MonkeyPatch, said: str, kind: str) -> None:
+def test_a_com_port_that_does_not_open_says_why(monkeypatch: pytest.MonkeyPatch, message: str, kind: str) -> None:
     def refuse(*_words: object, **_options: object) -> serial.Serial:
-        raise serial.SerialException(said)
+        raise serial.SerialException(message)
 
     monkeypatch.setattr(serial, "serial_for_url", refuse)
     monkeypatch.setattr(

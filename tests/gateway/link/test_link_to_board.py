@@ -12,8 +12,8 @@ class Line:
     """A host that pings and repeats, and a board that streams; either may be held up, the answers may be missing."""
 
     def __init__(self) -> None:
-        self.told: list[str] = []
-        self.to_board = ToBoard(self.told.append)
+        self.states: list[str] = []
+        self.to_board = ToBoard(self.states.append)
         self.answers = True
         self.period_s = STATE_S
         self.ping_s = PING_S
@@ -45,7 +45,7 @@ def test_it_is_told_once_within_two_seconds_and_ended_by_the_first_answer() -> N
     line.run(0.5)
 
     assert state == UNANSWERED
-    assert line.told == [ANSWERING, UNANSWERED, ANSWERING]
+    assert line.states == [ANSWERING, UNANSWERED, ANSWERING]
 
 
 def test_a_line_that_was_cut_before_the_first_answer_is_unanswered_too() -> None:
@@ -54,7 +54,7 @@ def test_a_line_that_was_cut_before_the_first_answer_is_unanswered_too() -> None
 
     line.run(UNANSWERED_S + 4 * PING_S)
 
-    assert line.told == [UNANSWERED]
+    assert line.states == [UNANSWERED]
 
 
 def test_a_pause_of_the_frames_says_nothing_about_the_other_direction() -> None:
@@ -65,7 +65,7 @@ def test_a_pause_of_the_frames_says_nothing_about_the_other_direction() -> None:
         line.run(0.3 + 0.05 * n, frames=False)
         line.run(0.7)
 
-    assert line.told == [ANSWERING]
+    assert line.states == [ANSWERING]
 
 
 def test_a_slow_stream_is_no_pause() -> None:
@@ -75,7 +75,7 @@ def test_a_slow_stream_is_no_pause() -> None:
     line.answers = False
     line.run(3.0)
 
-    assert line.told == [ANSWERING, UNANSWERED]
+    assert line.states == [ANSWERING, UNANSWERED]
 
 
 def test_another_port_is_another_line() -> None:
@@ -84,5 +84,5 @@ def test_another_port_is_another_line() -> None:
     line.run(3.0)
     line.to_board.begin()
 
-    assert line.told == [UNANSWERED, UNKNOWN]
+    assert line.states == [UNANSWERED, UNKNOWN]
     assert line.to_board.unanswered_s(9.0) == 0.0

@@ -57,6 +57,6 @@ def test_changes_on_a_line_that_answers_nothing_do_not_fill_the_queue_with_quest
                 keepalive.answered(Answer(token, "timed-out", 0), n * 0.1)
             keepalive.poll(n * 0.1)
 
-    asked = [when_s for name, when_s, _ in session.submitted if name == "GET_PARAMETERS"]
-    assert len(asked) <= 2 * 20 + 10  # two in each half second, one a second again
-    assert max(asked) > 9.0
+    request_times_s = [when_s for name, when_s, _ in session.submitted if name == "GET_PARAMETERS"]
+    assert len(request_times_s) <= 2 * 20 + 10  # two in each half second, one a second again
+    assert max(request_times_s) > 9.0

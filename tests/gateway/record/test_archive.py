@@ -112,12 +112,12 @@ def test_a_log_that_was_deleted_is_found_by_a_question_and_opened_again(
     copied = call("archive", tmp_path / "logs", "--to", address, server=server.endpoint)
     path.unlink()
     update(tmp_path / "logs")
-    found = addresses(tmp_path / "logs", "board = 'rig7'")
-    fetched = call("fetch", found[name], "-o", tmp_path / "back", server=server.endpoint)
+    address_of_name = addresses(tmp_path / "logs", "board = 'rig7'")
+    fetched = call("fetch", address_of_name[name], "-o", tmp_path / "back", server=server.endpoint)
 
     assert copied.returncode == 0, copied.stderr
     assert "logs copied: 1 (20." in copied.stderr
-    assert found == {name: f"{address}/{name}"}
+    assert address_of_name == {name: f"{address}/{name}"}
     assert fetched.returncode == 0, fetched.stderr
     copy = Path(fetched.stdout.rstrip("\n"))
     assert copy == tmp_path / "back" / path.name
@@ -281,25 +281,25 @@ def test_a_fetch_that_is_killed_leaves_no_log(server: S3Server, address: str, tm
 
 
 def test_a_server_that_goes_and_comes_back(address: str, tmp_path: Path, server: S3Server) -> None:
-    folder, said = tmp_path / "logs", tmp_path / "said.txt"
+    folder, stderr_file = tmp_path / "logs", tmp_path / "said.txt"
     write(folder / "a.mcap")
     with s3_server() as other:
         words = command("archive", folder, "--to", address, "--every", 0.2, server=other.endpoint)
-        with said.open("w") as sink:
+        with stderr_file.open("w") as sink:
             process = subprocess.Popen(words, stderr=sink)
         try:
-            wait_for(lambda: "logs copied: 1" in said.read_text(), "copy")
+            wait_for(lambda: "logs copied: 1" in stderr_file.read_text(), "copy")
             other.kill()
             write(folder / "b.mcap")
-            wait_for(lambda: "no answer from the server (Connection refused)" in said.read_text(), "error")
+            wait_for(lambda: "no answer from the server (Connection refused)" in stderr_file.read_text(), "error")
             other.start()
-            wait_for(lambda: said.read_text().count("logs copied: 1") == 2, "second copy")
+            wait_for(lambda: stderr_file.read_text().count("logs copied: 1") == 2, "second copy")
         finally:
             process.terminate()
             process.wait()
 
         assert objects(other, address).keys() >= {"a.mcap", "b.mcap"}
-        assert said.read_text().count("no answer") == 1, "once, not at each pass"
+        assert stderr_file.read_text().count("no answer") == 1, "once, not at each pass"
 
 
 def test_two_that_copy_at_once_do_no_harm(server: S3Server, address: str, tmp_path: Path) -> None:
@@ -310,8 +310,8 @@ def test_two_that_copy_at_once_do_no_harm(server: S3Server, address: str, tmp_pa
     texts = [process.communicate(timeout=HANG_S)[1] for process in both]
 
     assert [process.returncode for process in both] == [0, 0], texts
-    kept = objects(server, address)
-    assert {path.name: kept[path.name] for path in logs} == {path.name: path.read_bytes() for path in logs}
+    stored = objects(server, address)
+    assert {path.name: stored[path.name] for path in logs} == {path.name: path.read_bytes() for path in logs}
     assert archive(tmp_path, address, server)[::2] == (0, 6)
 
 
@@ -369,10 +369,10 @@ def test_an_error_says_what_is_wrong_and_what_to_do(
     write(tmp_path / "a.mcap")
     where = server.endpoint.replace("http://", endpoint) if endpoint == "https://" else endpoint or server.endpoint
 
-    done = call("archive", tmp_path, "--to", to or f"s3://{BUCKET}/errors", server=where, **environment)
+    process = call("archive", tmp_path, "--to", to or f"s3://{BUCKET}/errors", server=where, **environment)
 
-    assert done.returncode == code, done.stderr
-    *progress, error = done.stderr.splitlines()
+    assert process.returncode == code, process.stderr
+    *progress, error = process.stderr.splitlines()
     assert all(re.match(r"\[1/1\] a\.mcap", line) for line in progress)
     assert error.startswith("board51 logs: ")
     assert re.search(text, error), error

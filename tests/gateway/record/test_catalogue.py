@@ -82,25 +82,25 @@ def test_each_session_of_a_board_has_a_row(tmp_path: Path) -> None:
 def test_two_first_updates_at_once_make_one_catalogue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second one makes the tables between the look of the first one and its own tables."""
     write(tmp_path / "a.mcap")
-    connect, others = sqlite3.connect, list[Update]()
+    connect, updates = sqlite3.connect, list[Update]()
 
-    def connect_late(*args: Any, **options: Any) -> sqlite3.Connection:
+    def connect_traced(*args: Any, **options: Any) -> sqlite3.Connection:
         database: sqlite3.Connection = connect(*args, **options)
 
         def meanwhile(statement: str) -> None:
             if not statement.startswith("PRAGMA"):
                 database.set_trace_callback(None)
-                others.append(update(tmp_path))
+                updates.append(update(tmp_path))
 
         database.set_trace_callback(meanwhile)
         monkeypatch.setattr(sqlite3, "connect", connect)
         return database
 
-    monkeypatch.setattr(sqlite3, "connect", connect_late)
+    monkeypatch.setattr(sqlite3, "connect", connect_traced)
 
-    late = update(tmp_path)
+    delayed = update(tmp_path)
 
-    assert [late.read, *(other.read for other in others)] == [0, 1]
+    assert [delayed.read, *(other.read for other in updates)] == [0, 1]
     assert len(query(tmp_path, selection("")).rows) == 2
 
 
@@ -146,10 +146,10 @@ def test_a_question_in_sql_finds_sessions(tmp_path: Path) -> None:
     write(tmp_path / "b.mcap", "rig7", nis=9.0)
     update(tmp_path)
 
-    found = query(tmp_path, selection("board like 'rig%' and began like '2026-05%' and nis > 3"))
+    result = query(tmp_path, selection("board like 'rig%' and began like '2026-05%' and nis > 3"))
 
-    assert found.columns == COLUMNS
-    assert [row[found.columns.index("file")] for row in found.rows] == ["b.mcap"]
+    assert result.columns == COLUMNS
+    assert [row[result.columns.index("file")] for row in result.rows] == ["b.mcap"]
 
 
 @pytest.mark.parametrize(
@@ -217,14 +217,14 @@ def test_the_command_prints_a_table_json_or_csv(tmp_path: Path, capsys: pytest.C
     words = ["logs", "query", "flown_s > 0", "--folder", str(tmp_path)]
 
     assert board51.main(words) == 0
-    shown = capsys.readouterr()
+    captured = capsys.readouterr()
     assert board51.main([*words, "--json"]) == 0
     row = json.loads(capsys.readouterr().out)
     assert board51.main([*words, "--csv", "--no-update"]) == 0
     table = list(csv.reader(capsys.readouterr().out.splitlines()))
 
-    assert "[1/1] a.mcap" in shown.err
-    assert shown.out.splitlines()[-1] == "1 row"
+    assert "[1/1] a.mcap" in captured.err
+    assert captured.out.splitlines()[-1] == "1 row"
     assert (row["board"], row["causes"]) == ("rig", "coulomb-friction")
     assert tuple(row) == tuple(table[0]) == COLUMNS
     assert board51.main(["logs", "query", "board = 'none'", "--folder", str(tmp_path)]) == 1

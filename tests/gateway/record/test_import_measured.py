@@ -27,8 +27,8 @@ def test_measured_recordings_import_by_their_campaign(tmp_path: Path, capsys: py
     campaign = REPO / "twin" / "campaigns" / "inteco.toml"
     logs = tmp_path / "logs"
 
-    only = ["--only", "cl_step__LQI_KF.csv.gz"]
-    code = board51.main(["import", "--campaign", str(campaign), "--data", str(DATA), "-o", str(logs), *only, "--json"])
+    files = ["--only", "cl_step__LQI_KF.csv.gz"]
+    code = board51.main(["import", "--campaign", str(campaign), "--data", str(DATA), "-o", str(logs), *files, "--json"])
 
     report = json.loads(capsys.readouterr().out)[0]
     assert code == 0
@@ -38,10 +38,10 @@ def test_measured_recordings_import_by_their_campaign(tmp_path: Path, capsys: py
     log = logs / "cl_step__LQI_KF.mcap"
     with gzip.open(INTECO / "cl_step__LQI_KF.csv.gz", "rt") as file:
         rows = list(csv.DictReader(file))
-    found = [r.message for r in read(log, topics=["state"]) if isinstance(r.message, pb.State)]
-    assert [s.i_c_a for s in found] == [float(row["i1_A"]) for row in rows]
-    assert [s.x_m for s in found] == pytest.approx([0.02 - float(row["gap_meas_m"]) for row in rows], abs=1e-12)
-    assert all(s.mode == pb.MODE_CLOSED_LOOP for s in found)
+    states = [r.message for r in read(log, topics=["state"]) if isinstance(r.message, pb.State)]
+    assert [s.i_c_a for s in states] == [float(row["i1_A"]) for row in rows]
+    assert [s.x_m for s in states] == pytest.approx([0.02 - float(row["gap_meas_m"]) for row in rows], abs=1e-12)
+    assert all(s.mode == pb.MODE_CLOSED_LOOP for s in states)
     reader = LogReader(log)
     assert sum(1 for _ in reader.raw()) == 15002
     assert reader.metadata["import"]["file"] == "cl_step__LQI_KF.csv.gz"

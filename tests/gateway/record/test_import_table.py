@@ -44,14 +44,14 @@ def states(log: Path) -> list[pb.State]:
 
 
 def test_a_table_becomes_samples(tmp_path: Path) -> None:
-    report, found = bring(tmp_path, "t,x,comment\n0,0.001,hot\n0.002,0.002,-\n0.004,0.003,nan\n")
+    report, samples = bring(tmp_path, "t,x,comment\n0,0.001,hot\n0.002,0.002,-\n0.004,0.003,nan\n")
 
-    assert [(s.tick, s.sequence, s.t_s, s.x_m, s.host_time_ns, s.session, s.lost_before) for s in found] == [
+    assert [(s.tick, s.sequence, s.t_s, s.x_m, s.host_time_ns, s.session, s.lost_before) for s in samples] == [
         (0, 0, 0.0, 0.001, 0, 1, 0),
         (1, 1, 0.002, 0.002, 2_000_000, 1, 0),
         (2, 2, 0.004, 0.003, 4_000_000, 1, 0),
     ]
-    assert not any(s.HasField("i_c_a") or s.HasField("u_c_v") or s.HasField("x_ref_m") for s in found)
+    assert not any(s.HasField("i_c_a") or s.HasField("u_c_v") or s.HasField("x_ref_m") for s in samples)
     assert report.sample_time_s == 0.002
     parameters = next(read(tmp_path / "a.mcap", topics=["parameters"])).message
     assert isinstance(parameters, pb.Parameters)
@@ -61,36 +61,36 @@ def test_a_table_becomes_samples(tmp_path: Path) -> None:
 def test_scale_offset_and_look_up_table(tmp_path: Path) -> None:
     column = Column(column="duty", scale=2.0, offset=-1.0, table=((0.0, 0.0), (0.1, 1.0), (0.3, 2.0)))
 
-    report, found = bring(tmp_path, "t,duty\n0,0\n1,0.05\n2,0.2\n3,0.5\n", u_c=column)
+    report, samples = bring(tmp_path, "t,duty\n0,0\n1,0.05\n2,0.2\n3,0.5\n", u_c=column)
 
     # table, then scale, then offset; beyond the last point the last slope goes on: 2 + 0.2 * 1 / 0.2 = 3
-    assert [s.u_c_v for s in found] == pytest.approx([-1.0, 0.0, 2.0, 5.0])
+    assert [s.u_c_v for s in samples] == pytest.approx([-1.0, 0.0, 2.0, 5.0])
     assert report.beyond_table == {"u_c": 1}
 
 
 def test_gaps_and_irregular_steps_are_seen(tmp_path: Path) -> None:
     times = [0.0, 0.002, 0.004, 0.010, 0.012, 0.0144, 0.0164]  # two samples missing, then one late by 0.4 ms
 
-    report, found = bring(tmp_path, "t,x\n" + "".join(f"{t},0\n" for t in times))
+    report, samples = bring(tmp_path, "t,x\n" + "".join(f"{t},0\n" for t in times))
 
-    assert [s.tick for s in found] == [0, 1, 2, 5, 6, 7, 8]
-    assert [s.lost_before for s in found] == [0, 0, 0, 2, 0, 0, 0]
-    assert [s.t_s for s in found] == times
+    assert [s.tick for s in samples] == [0, 1, 2, 5, 6, 7, 8]
+    assert [s.lost_before for s in samples] == [0, 0, 0, 2, 0, 0, 0]
+    assert [s.t_s for s in samples] == times
     assert (report.gaps, report.samples_missing, report.irregular_steps) == (1, 2, 1)
     assert report.worst_step_s == pytest.approx(0.0024)
 
 
 def test_time_may_begin_below_zero(tmp_path: Path) -> None:
-    _, found = bring(tmp_path, "t,x\n-0.002,1\n0,2\n")
+    _, samples = bring(tmp_path, "t,x\n-0.002,1\n0,2\n")
 
-    assert [(s.t_s, s.host_time_ns) for s in found] == [(-0.002, 0), (0.0, 2_000_000)]
+    assert [(s.t_s, s.host_time_ns) for s in samples] == [(-0.002, 0), (0.0, 2_000_000)]
 
 
 def test_equilibria_have_no_time(tmp_path: Path) -> None:
-    report, found = bring(tmp_path, "i_c,x\n0.5,0.001\n0.6,0.002\n", kind="equilibria")
+    report, samples = bring(tmp_path, "i_c,x\n0.5,0.001\n0.6,0.002\n", kind="equilibria")
 
     assert report.sample_time_s == 0.0
-    assert [(s.session, s.i_c_a, s.x_m) for s in found] == [(1, 0.5, 0.001), (2, 0.6, 0.002)]
+    assert [(s.session, s.i_c_a, s.x_m) for s in samples] == [(1, 0.5, 0.001), (2, 0.6, 0.002)]
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
@@ -98,9 +98,11 @@ def test_equilibria_have_no_time(tmp_path: Path) -> None:
 def test_kinds_of_csv(tmp_path: Path, separator: str, compressed: bool) -> None:
     text = "\ufeff# made by a logger\r\nt,x\r\n0,1e-3\r\n\r\n1, 2e-3\r\n".replace(",", separator).encode()
 
-    _, found = bring(tmp_path, gzip.compress(text) if compressed else text, name="a.csv.gz" if compressed else "a.csv")
+    _, samples = bring(
+        tmp_path, gzip.compress(text) if compressed else text, name="a.csv.gz" if compressed else "a.csv"
+    )
 
-    assert [s.x_m for s in found] == [1e-3, 2e-3]
+    assert [s.x_m for s in samples] == [1e-3, 2e-3]
 
 
 @pytest.mark.parametrize(
@@ -137,10 +139,10 @@ def test_bad_tables_are_told_with_line_and_column(tmp_path: Path, text: str, say
 
 @pytest.mark.parametrize("cell", ["", "nan", "inf", "overflow"])
 def test_a_cell_that_is_no_number_is_a_missing_reading(tmp_path: Path, cell: str) -> None:
-    report, found = bring(tmp_path, f"t,x,i_c\n0,0.001,0.5\n0.002,{cell},0.6\n0.004,0.003,0.7\n")
+    report, samples = bring(tmp_path, f"t,x,i_c\n0,0.001,0.5\n0.002,{cell},0.6\n0.004,0.003,0.7\n")
 
-    assert [s.x_m if s.HasField("x_m") else None for s in found] == [0.001, None, 0.003]
-    assert [s.i_c_a for s in found] == [0.5, 0.6, 0.7]
+    assert [s.x_m if s.HasField("x_m") else None for s in samples] == [0.001, None, 0.003]
+    assert [s.i_c_a for s in samples] == [0.5, 0.6, 0.7]
     assert report.warnings == ("1 cells of x are not numbers and were left out, the first in line 3",)
 
 
@@ -162,9 +164,9 @@ def test_matlab_vectors_and_structs(tmp_path: Path) -> None:
     time_s, position_m = np.arange(5) * 0.001, np.linspace(0.0, 1e-3, 5)
     savemat(tmp_path / "a.mat", {"t": time_s, "run": {"x": position_m}, "T_s": 0.001})
 
-    _, found = bring(tmp_path, (tmp_path / "a.mat").read_bytes(), name="a.mat", x="run.x")
+    _, samples = bring(tmp_path, (tmp_path / "a.mat").read_bytes(), name="a.mat", x="run.x")
 
-    assert [s.x_m for s in found] == position_m.tolist()
+    assert [s.x_m for s in samples] == position_m.tolist()
 
 
 @pytest.mark.parametrize(
@@ -190,19 +192,19 @@ def test_bad_matlab_files_are_told(tmp_path: Path, content: dict[str, object] | 
 def test_what_a_rig_does_not_do_is_said_with_the_scale_that_would_mend_it(tmp_path: Path) -> None:
     rows = "".join(f"{2 * n},{5.7 * n / 50},{600 + n},{2500}\n" for n in range(50))
 
-    report, found = bring(tmp_path, "t,x,i_c,u_c\n" + rows)
+    report, samples = bring(tmp_path, "t,x,i_c,u_c\n" + rows)
 
-    assert len(found) == 50, "it is the user's to decide"
-    said = {line.split(" ")[0]: line for line in report.warnings}
-    assert said.keys() == {"t", "x", "i_c", "u_c"}
+    assert len(samples) == 50, "it is the user's to decide"
+    warning_of_channel = {line.split(" ")[0]: line for line in report.warnings}
+    assert warning_of_channel.keys() == {"t", "x", "i_c", "u_c"}
     for channel, words in (
         ("t", "its samples are 2 s apart, more than the 0.2 s"),
         ("x", "reaches 5.5"),
         ("i_c", "more than the 30 A"),
         ("u_c", "it reaches 2.5e+03 V"),
     ):
-        assert words in said[channel]
-        assert "scale = 0.001 would make it plausible" in said[channel]
+        assert words in warning_of_channel[channel]
+        assert "scale = 0.001 would make it plausible" in warning_of_channel[channel]
 
 
 def test_a_plausible_recording_is_imported_without_a_word(tmp_path: Path) -> None:
@@ -235,7 +237,7 @@ def test_variables_of_a_matlab_file_that_are_no_columns_are_named_with_the_reaso
 
     report, _ = bring(tmp_path, (tmp_path / "b.mat").read_bytes(), name="a.mat")
 
-    said = "\n".join(report.warnings)
+    warning_text = "\n".join(report.warnings)
     assert len(report.warnings) == 4
     for words in (
         "'pos' cannot be used: it is a matrix of 5 x 3",
@@ -243,7 +245,7 @@ def test_variables_of_a_matlab_file_that_are_no_columns_are_named_with_the_reaso
         "'note'",
         "'parts'",
     ):
-        assert words in said
+        assert words in warning_text
     with pytest.raises(DataError, match="has no column 'pos': it is a matrix of 5 x 3"):
         bring(tmp_path, (tmp_path / "b.mat").read_bytes(), name="c.mat", x="pos")
 
@@ -253,7 +255,7 @@ def test_import_and_export_return_every_bit(tmp_path: Path) -> None:
     rows = [[k * 0.002, *(rng.uniform(-1.0, 1.0) * 10.0 ** rng.randint(-12, 3) for _ in range(4))] for k in range(300)]
     text = "t,u_c,i_c,x,x_ref\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)
     bring(tmp_path, text)
-    wanted = dict(zip(("t_s", "u_c_v", "i_c_a", "x_m", "x_ref_m"), zip(*rows, strict=True), strict=True))
+    expected = dict(zip(("t_s", "u_c_v", "i_c_a", "x_m", "x_ref_m"), zip(*rows, strict=True), strict=True))
 
     for form in FORMATS:
         export(tmp_path / "a.mcap", tmp_path / f"out.{form}", form=form)
@@ -262,7 +264,7 @@ def test_import_and_export_return_every_bit(tmp_path: Path) -> None:
         lines = list(csv.DictReader(file))
     mat = loadmat(tmp_path / "out.mat")
     parquet = pyarrow.parquet.read_table(tmp_path / "out.parquet").to_pydict()
-    for name, values in wanted.items():
+    for name, values in expected.items():
         assert [float(line[name]) for line in lines] == list(values)
         assert mat[name].ravel().tolist() == list(values)
         assert parquet[name] == list(values)

@@ -27,7 +27,7 @@ class Played:
         self.reports: list[dict[str, Any]] = []
         self.seeks = 0
         self._clock_s = 0.0
-        self._given: list[str] = []
+        self._pending: list[str] = []
         self._orders = dict(orders or {})
         self._stop = threading.Event()
         self.player = Player(
@@ -41,8 +41,8 @@ class Played:
         return self._clock_s
 
     def _next_order(self, limit_s: float) -> str | None:
-        if self._given:
-            return self._given.pop(0)
+        if self._pending:
+            return self._pending.pop(0)
         self._clock_s += limit_s
         return None
 
@@ -50,7 +50,7 @@ class Played:
         self.sent.append(sent.time_ns // TICK_NS)
         self.times_s.append(self._clock_s)
         line = self._orders.pop(self.sent[-1], None)
-        self._given += [] if line is None else line.split(";")
+        self._pending += [] if line is None else line.split(";")
 
     def _sought(self) -> None:
         self.seeks += 1

@@ -19,7 +19,7 @@ from protocol.log.reader import LogReader
 from protocol.log.scan import MAGIC, Scan
 
 SIZE = 1 << 28
-MOST = 150_000_000  # bytes of memory; the largest bombs hold 268 MB
+MAX_BYTES = 150_000_000  # bytes of memory; the largest bombs hold 268 MB
 
 
 def record(opcode: int, content: bytes) -> bytes:
@@ -110,7 +110,7 @@ def test_a_bomb_costs_itself_and_no_memory(bomb: tuple[Path, int, str]) -> None:
     assert sum(damage.bytes for damage in scan.damages) < log.stat().st_size
     assert len(scan.damages) <= 2
     assert scan.finished
-    assert peak < MOST
+    assert peak < MAX_BYTES
 
 
 def test_a_bomb_cut_off_is_no_bomb(bomb: tuple[Path, int, str], tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_a_bomb_cut_off_is_no_bomb(bomb: tuple[Path, int, str], tmp_path: Path) 
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert count >= 20
-    assert peak < MOST
+    assert peak < MAX_BYTES
 
 
 def test_every_command_names_file_place_and_remedy(

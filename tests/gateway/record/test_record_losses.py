@@ -63,7 +63,7 @@ def test_a_full_disk_is_told_and_logging_resumes_without_loss(small_disk: Path, 
     files = sorted(small_disk.iterdir())
     assert len(files) == 2
     assert all(LogReader(file).scans[0].indexed for file in files)  # the cut part got its end, too
-    assert [found for file in files for found in ticks(read(file))] == list(range(tick + 100))
+    assert [logged_tick for file in files for logged_tick in ticks(read(file))] == list(range(tick + 100))
 
 
 @pytest.mark.parametrize("full", ["of-bytes", "of-files"])

@@ -14,21 +14,21 @@ from gateway.record.recover import recover
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.npm import installed
 
-HERE = Path(__file__).parent / "mcap_core"
+CHECKER_FOLDER = Path(__file__).parent / "mcap_core"
 START_NS = 1_700_000_000_000_000_000
 
 
 @pytest.fixture(scope="module")
 def checker(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with check.mjs and its packages."""
-    return installed(HERE, tmp_path_factory.mktemp("mcap_core"))
+    return installed(CHECKER_FOLDER, tmp_path_factory.mktemp("mcap_core"))
 
 
 def check(checker: Path, log: Path) -> dict[str, Any]:
-    done = subprocess.run(["node", "check.mjs", str(log)], cwd=checker, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    process = subprocess.run(["node", "check.mjs", str(log)], cwd=checker, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+    report: dict[str, Any] = json.loads(process.stdout)
+    return report
 
 
 def write(folder: Path) -> Path:
@@ -49,8 +49,8 @@ def write(folder: Path) -> Path:
     return next(folder.iterdir())
 
 
-def expect(found: dict[str, Any]) -> None:
-    state = found["topics"]["board51/rig/state"]
+def expect(report: dict[str, Any]) -> None:
+    state = report["topics"]["board51/rig/state"]
     assert state["schema"] == ".board51.v1.State"
     assert state["count"] == 3000
     assert state["log_time"] == [str(START_NS + tick * 2_000_000) for tick in range(3000)]
@@ -58,11 +58,11 @@ def expect(found: dict[str, Any]) -> None:
     assert state["last"]["x_m"] == 2999 * 1e-6
     assert state["last"]["i_c_a"] == 0.0  # measured as zero, not absent
     assert "u_c_v" not in state["last"]
-    assert found["topics"]["board51/rig/parameters"]["first"]["gains"] == [0.49, 1700.0, 17.7, -17600.0]
-    assert found["topics"]["board51/rig/status"]["first"]["bad_frames"] == [{"key": "crc", "value": 3}]
-    assert found["metadata"]["config"] == {"port": "/dev/ttyUSB0"}
-    assert found["streamed"] == 3002
-    assert found["done"] is True
+    assert report["topics"]["board51/rig/parameters"]["first"]["gains"] == [0.49, 1700.0, 17.7, -17600.0]
+    assert report["topics"]["board51/rig/status"]["first"]["bad_frames"] == [{"key": "crc", "value": 3}]
+    assert report["metadata"]["config"] == {"port": "/dev/ttyUSB0"}
+    assert report["streamed"] == 3002
+    assert report["done"] is True
 
 
 @pytest.mark.slow

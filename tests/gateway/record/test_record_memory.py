@@ -34,8 +34,8 @@ def allocated() -> int:
     except AttributeError:
         pytest.skip("the C library has no mallinfo2")
     statistics.restype = Statistics
-    found = statistics()
-    return int(found.uordblks + found.hblkhd)
+    usage = statistics()
+    return int(usage.uordblks + usage.hblkhd)
 
 
 def test_a_part_that_is_closed_leaves_no_index_behind(tmp_path: Path) -> None:

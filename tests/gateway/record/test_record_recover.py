@@ -347,6 +347,6 @@ def test_the_commands_answer_with_codes_and_one_line(tmp_path: Path, capsys: pyt
     assert board51.main(["info", str(clean), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["damages"] == []
     assert board51.main(["info", str(tmp_path / "absent.mcap")]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "No such file" in said
+    error_output = capsys.readouterr().err
+    assert error_output.count("\n") == 1
+    assert "No such file" in error_output

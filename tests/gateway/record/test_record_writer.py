@@ -43,13 +43,13 @@ def test_another_reader_finds_messages_schema_and_metadata(tmp_path: Path, compr
 
 
 def test_two_writers_do_not_mix(tmp_path: Path) -> None:
-    one, two = LogWriter(tmp_path / "1.mcap"), LogWriter(tmp_path / "2.mcap")
+    first, second = LogWriter(tmp_path / "1.mcap"), LogWriter(tmp_path / "2.mcap")
 
-    put_states(one.write, range(0, 100))
-    put_states(two.write, range(100, 200))
-    one.close()
-    put_states(two.write, range(200, 300))
-    two.close()
+    put_states(first.write, range(0, 100))
+    put_states(second.write, range(100, 200))
+    first.close()
+    put_states(second.write, range(200, 300))
+    second.close()
 
     assert ticks(read(tmp_path / "1.mcap")) == list(range(0, 100))
     assert ticks(read(tmp_path / "2.mcap")) == list(range(100, 300))
@@ -129,11 +129,11 @@ def test_a_refused_write_leaves_whole_chunks_and_can_be_repeated(tmp_path: Path,
     log = tmp_path / "a.mcap"
     arguments = [sys.executable, "-c", _LIMITED, str(log), *(["on"] if goes_on else [])]
 
-    done = subprocess.run(arguments, cwd=REPO, capture_output=True, text=True, check=True)
+    process = subprocess.run(arguments, cwd=REPO, capture_output=True, text=True, check=True)
 
-    reason, flushed, written, size = done.stdout.split()[-4:]
-    assert "file too large" in done.stdout
-    assert done.stderr == ""
+    reason, flushed, written, size = process.stdout.split()[-4:]
+    assert "file too large" in process.stdout
+    assert process.stderr == ""
     assert int(size) <= 20_000
     expected = int(written) if goes_on else int(flushed)
     assert [record.message.tick for record in read(log) if isinstance(record.message, pb.State)] == list(

@@ -32,15 +32,15 @@ def test_parts_stand_alone(tmp_path: Path) -> None:
     assert len(files) >= 4
     assert all(file.name.startswith("rig-") and file.suffix == ".mcap" for file in files)
     assert ("log-rotated", "info") in events
-    found = []
+    logged_ticks = []
     for index, file in enumerate(files):
         scan = LogReader(file)
         records = list(scan.records())
         assert scan.scans[0].finished
         assert scan.metadata["part"]["number"] == str(index)
         assert records[0].topic == "parameters"  # the newest of before, in each part
-        found += [r.message.tick for r in records if isinstance(r.message, pb.State)]
-    assert found == list(range(6000))
+        logged_ticks += [r.message.tick for r in records if isinstance(r.message, pb.State)]
+    assert logged_ticks == list(range(6000))
 
 
 def test_a_part_is_closed_by_age(tmp_path: Path) -> None:

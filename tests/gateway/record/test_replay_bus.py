@@ -46,14 +46,14 @@ def endpoint() -> str:
 @contextmanager
 def subscriber(endpoint: str) -> Iterator[list[Arrived]]:
     """The router, with everything that arrives."""
-    found: list[Arrived] = []
+    arrivals: list[Arrived] = []
 
     def arrived(sample: zenoh.Sample) -> None:
-        found.append((str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes()))
+        arrivals.append((str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes()))
 
     with zenoh.open(zenoh.Config.from_json5(zenoh_config("router", listen=[endpoint]))) as session:
         session.declare_subscriber("board51/**", arrived)
-        yield found
+        yield arrivals
 
 
 @pytest.fixture
@@ -79,15 +79,15 @@ def logged(log: Path, *topics: str) -> list[tuple[str, bytes]]:
 def test_a_fast_replay_sends_the_log_and_nothing_else(
     log: Path, endpoint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with subscriber(endpoint) as found:
+    with subscriber(endpoint) as arrivals:
         assert board51.main(["replay", str(log), "--speed", "0", "--connect", endpoint, "--json"]) == 0
-        until(lambda: len(found) >= 2001)
+        until(lambda: len(arrivals) >= 2001)
 
-    recorded = [(key, payload) for key, _, payload in found if not key.endswith("/states")]
-    batches = [pb.StateBatch.FromString(payload) for key, _, payload in found if key.endswith("/states")]
+    recorded = [(key, payload) for key, _, payload in arrivals if not key.endswith("/states")]
+    batches = [pb.StateBatch.FromString(payload) for key, _, payload in arrivals if key.endswith("/states")]
     assert recorded == logged(log, "parameters", "state")
     assert [state.SerializeToString() for batch in batches for state in batch.states] == [p for _, p in recorded[1:]]
-    assert {encoding.partition("v1.")[2] for _, encoding, _ in found} == {"Parameters", "State", "StateBatch"}
+    assert {encoding.partition("v1.")[2] for _, encoding, _ in arrivals} == {"Parameters", "State", "StateBatch"}
     report = json.loads(capsys.readouterr().out)
     assert report["messages"] == 1001
     assert report["log_seconds"] == pytest.approx(1.998)
@@ -95,29 +95,29 @@ def test_a_fast_replay_sends_the_log_and_nothing_else(
 
 def test_choices_apply(log: Path, endpoint: str) -> None:
     options = ["--speed", "0", "--start", "0.5", "--end", "0.6", "--topic", "twin/state", "--as", "ghost"]
-    with subscriber(endpoint) as found:
+    with subscriber(endpoint) as arrivals:
         assert board51.main(["replay", str(log), "--connect", endpoint, *options]) == 0
-        until(lambda: len(found) >= 100)
+        until(lambda: len(arrivals) >= 100)
 
-    alone = [pb.TwinState.FromString(payload) for key, _, payload in found if key == "board51/ghost/twin/state"]
-    batches = [pb.TwinBatch.FromString(payload) for key, _, payload in found if key == "board51/ghost/twin/states"]
-    assert [state.tick for state in alone] == list(range(250, 300))
-    assert batches == [pb.TwinBatch(states=[state]) for state in alone]
+    states = [pb.TwinState.FromString(payload) for key, _, payload in arrivals if key == "board51/ghost/twin/state"]
+    batches = [pb.TwinBatch.FromString(payload) for key, _, payload in arrivals if key == "board51/ghost/twin/states"]
+    assert [state.tick for state in states] == list(range(250, 300))
+    assert batches == [pb.TwinBatch(states=[state]) for state in states]
 
 
 def test_each_pass_of_a_loop_has_its_own_session(log: Path, endpoint: str) -> None:
-    with subscriber(endpoint) as found:
+    with subscriber(endpoint) as arrivals:
         process = subprocess.Popen(
             [sys.executable, "board51.py", "replay", str(log), "--speed", "0", "--loop", "--connect", endpoint],
             cwd=REPO, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-        until(lambda: len(found) > 5000)
+        until(lambda: len(arrivals) > 5000)
         process.send_signal(signal.SIGTERM)
         output, _ = process.communicate(timeout=HANG_S)
 
     assert process.returncode == 0
     assert "messages" in output
-    states = [pb.State.FromString(payload) for key, _, payload in found if key.endswith("/state")]
+    states = [pb.State.FromString(payload) for key, _, payload in arrivals if key.endswith("/state")]
     assert {state.session for state in states[:2000]} == {1, 1 + SESSIONS_PER_PASS}
     assert [state.tick for state in states[:2000]] == [*range(1000), *range(1000)]
 
@@ -147,9 +147,9 @@ def test_wrong_use_is_told_in_one_line(
 ) -> None:
     assert board51.main(["replay", str(log), *options]) == 2
 
-    said = capsys.readouterr().err
-    assert says in said
-    assert said.count("\n") == 1
+    error_output = capsys.readouterr().err
+    assert says in error_output
+    assert error_output.count("\n") == 1
 
 
 def test_record_logs_what_a_replay_sends(log: Path, endpoint: str, tmp_path: Path) -> None:
@@ -192,11 +192,11 @@ def test_record_begins_on_a_full_disk_and_writes_when_there_is_room(log: Path, e
                 cwd=REPO, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             )  # fmt: skip
             assert process.stderr is not None
-            said = [process.stderr.readline(), process.stderr.readline()]
+            lines = [process.stderr.readline(), process.stderr.readline()]
             options = ["--speed", "0", "--topic", "state"]
             assert board51.main(["replay", str(log), "--connect", endpoint, *options]) == 0
             disk.free()
-            said.append(process.stderr.readline())
+            lines.append(process.stderr.readline())
             (part,) = disk.folder.glob("*.mcap")
             until(lambda: _size(part) > 3000)
             until(_quiet(disk.folder))
@@ -208,9 +208,9 @@ def test_record_begins_on_a_full_disk_and_writes_when_there_is_room(log: Path, e
             process.kill()
         disk.close()
 
-    assert "disk full. Free space on that file system until 60 MB are free; logging then continues" in said[0]
-    assert said[1] == f"recording board51/*/** into {disk.folder}\n"
-    assert said[2] == f"log-resumed: Logging into {part.name}\n"
+    assert "disk full. Free space on that file system until 60 MB are free; logging then continues" in lines[0]
+    assert lines[1] == f"recording board51/*/** into {disk.folder}\n"
+    assert lines[2] == f"log-resumed: Logging into {part.name}\n"
     assert (output, rest) == ("1000 messages in 1 part(s), 0 dropped\n", "")
     assert ticks == list(range(1000))
 
@@ -221,13 +221,13 @@ def _size(file: Path) -> int:
 
 def _quiet(logs: Path) -> Callable[[], bool]:
     """True once the log has not grown for 0.3 s."""
-    seen = [0, time.monotonic()]
+    last_change = [0, time.monotonic()]
 
     def check() -> bool:
         size = sum(_size(file) for file in logs.iterdir())
-        if size != seen[0]:
-            seen[:] = [size, time.monotonic()]
-        return time.monotonic() - seen[1] > 0.3
+        if size != last_change[0]:
+            last_change[:] = [size, time.monotonic()]
+        return time.monotonic() - last_change[1] > 0.3
 
     return check
 

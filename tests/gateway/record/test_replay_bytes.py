@@ -55,7 +55,7 @@ def raw(*pieces: bytes, step_ns: int = 2_000_000) -> list[pb.RawBytes]:
     return [pb.RawBytes(host_time_ns=5 + n * step_ns, data=data) for n, data in enumerate(pieces)]
 
 
-def ask(board: RecordedBoard, name: str, values: dict[str, Value], *, position: int = 0) -> Message:
+def request(board: RecordedBoard, name: str, values: dict[str, Value], *, position: int = 0) -> Message:
     answer = board.answer(encode_frame(encode_body(name, **values)), position=position)
     (event,) = StreamDecoder().feed(answer)
     assert isinstance(event, Message)
@@ -72,8 +72,8 @@ def test_everything_but_answers_goes_out_as_it_came() -> None:
 
     events = StreamDecoder().feed(b"".join(piece.data for piece in board.pieces))
 
-    wanted = StreamDecoder().feed(state_frame(69_990) + NOISE + b"\x00" + event + state_frame(70_001))
-    assert events == wanted
+    expected = StreamDecoder().feed(state_frame(69_990) + NOISE + b"\x00" + event + state_frame(70_001))
+    assert events == expected
     assert board.removed == 2
 
 
@@ -99,7 +99,7 @@ def test_bytes_to_the_board_are_not_replayed() -> None:
 def test_hello_is_answered_as_then_with_the_id_and_tick_of_now() -> None:
     board = RecordedBoard(raw(state_frame(69_990), identity(), *(state_frame(t) for t in range(70_001, 70_051))))
 
-    first, later = ask(board, "HELLO", hello(1)), ask(board, "HELLO", hello(2), position=31)
+    first, later = request(board, "HELLO", hello(1)), request(board, "HELLO", hello(2), position=31)
 
     assert first.name == "IDENTITY"
     assert first.values == {**IDENTITY, "id": 1, "tick": 69_990} | {
@@ -112,7 +112,7 @@ def test_hello_is_answered_as_then_with_the_id_and_tick_of_now() -> None:
 def test_another_protocol_version_is_refused_as_the_board_would() -> None:
     board = RecordedBoard(raw(identity() + state_frame(70_001)))
 
-    answer = ask(board, "HELLO", {**hello(), "version_min": 2, "version_max": 9})
+    answer = request(board, "HELLO", {**hello(), "version_min": 2, "version_max": 9})
 
     assert (answer.name, answer.int("reason"), answer.int("detail")) == ("NACK", Reason.VERSION, 1)
 
@@ -123,7 +123,7 @@ def test_after_a_reset_the_board_says_what_it_said_after_it() -> None:
         raw(identity(), state_frame(70_001), state_frame(70_002), reset(), state_frame(1), again, state_frame(51))
     )
 
-    before, after = ask(board, "HELLO", hello()), ask(board, "HELLO", hello(), position=3)
+    before, after = request(board, "HELLO", hello()), request(board, "HELLO", hello(), position=3)
 
     assert (before.int("firmware_minor"), before.int("tick")) == (2, 70_001)
     assert (after.int("firmware_minor"), after.int("tick")) == (3, 1)
@@ -142,7 +142,7 @@ def test_a_recording_cannot_be_influenced(name: str) -> None:
     values: dict[str, Value] = {field.name: int(field.low or 0) for field in ROW_OF_NAME[name].fields}
     values["id"] = 5
 
-    answer = ask(board, name, values)
+    answer = request(board, name, values)
 
     assert answer.values == {
         "id": 5,
@@ -162,8 +162,8 @@ def test_ping_and_parameters_are_answered_from_the_log() -> None:
     stream = identity() + encode_frame(encode_body("PARAMETERS", **parameters)) + pong
     board = RecordedBoard(raw(stream, state_frame(70_010), state_frame(70_020)))
 
-    assert ask(board, "GET_PARAMETERS", {"id": 12}).values == {**parameters, "id": 12}
-    assert ask(board, "PING", {"id": 13}, position=1).values == {
+    assert request(board, "GET_PARAMETERS", {"id": 12}).values == {**parameters, "id": 12}
+    assert request(board, "PING", {"id": 13}, position=1).values == {
         "id": 13,
         "tick": 70_020,
         "bad_frames": 3,
@@ -200,8 +200,8 @@ def states(events: list[Event]) -> list[int]:
     return [event.sequence for event in events if isinstance(event, State)]
 
 
-@pytest.mark.parametrize(("speed", "least_s"), [(0.0, 0.0), (5.0, 0.4)])
-def test_a_pty_waits_for_hello_then_keeps_time(tmp_path: Path, speed: float, least_s: float) -> None:
+@pytest.mark.parametrize(("speed", "minimum_s"), [(0.0, 0.0), (5.0, 0.4)])
+def test_a_pty_waits_for_hello_then_keeps_time(tmp_path: Path, speed: float, minimum_s: float) -> None:
     board = RecordedBoard(raw(identity(), *(state_frame(tick) for tick in range(70_001, 71_001))))  # 2 s
     link, stop = tmp_path / "board", threading.Event()
     (port,) = pty_ports(link, 1)
@@ -214,13 +214,13 @@ def test_a_pty_waits_for_hello_then_keeps_time(tmp_path: Path, speed: float, lea
             assert select.select([host], [], [], 0.2)[0] == []  # silent: nobody asked yet
             begin = time.monotonic()
             os.write(host, encode_frame(encode_body("HELLO", **hello())))
-            events = read_until(lambda: os.read(host, 4096), lambda found: len(states(found)) == 1000)
+            events = read_until(lambda: os.read(host, 4096), lambda received: len(states(received)) == 1000)
         finally:
             stop.set()
             thread.join()
             os.close(host)
 
-    assert time.monotonic() - begin >= least_s - 0.002
+    assert time.monotonic() - begin >= minimum_s - 0.002
     assert isinstance(events[0], Message)
     assert events[0].name == "IDENTITY"
     assert states(events) == [tick & 0xFFFF for tick in range(70_001, 71_001)]
@@ -244,7 +244,7 @@ def test_the_command_serves_a_log_on_tcp(tmp_path: Path) -> None:
 
     with _connect(port) as host:
         host.sendall(encode_frame(encode_body("HELLO", **hello())))
-        events = read_until(lambda: host.recv(4096), lambda found: len(states(found)) == 300)
+        events = read_until(lambda: host.recv(4096), lambda received: len(states(received)) == 300)
     output, _ = process.communicate(timeout=HANG_S)
 
     assert states(events) == [tick & 0xFFFF for tick in range(70_001, 70_301)]
@@ -279,6 +279,6 @@ def test_wrong_use_is_told(tmp_path: Path, options: list[str], says: str, capsys
 
     assert board51.main(["replay", str(log), *options]) == 2
 
-    said = capsys.readouterr().err
-    assert says in said
-    assert said.count("\n") == 1
+    error_output = capsys.readouterr().err
+    assert says in error_output
+    assert error_output.count("\n") == 1

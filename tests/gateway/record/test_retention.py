@@ -21,7 +21,7 @@ def names(logs: list[tuple[str, float, int]], *, keep_days: float = 0.0, keep_gb
 
 
 @pytest.mark.parametrize(
-    ("bounds", "gone"),
+    ("bounds", "deleted"),
     [
         ({}, []),
         ({"keep_days": 2.0}, ["old", "older"]),
@@ -31,11 +31,11 @@ def names(logs: list[tuple[str, float, int]], *, keep_days: float = 0.0, keep_gb
         ({"keep_days": 1e-6}, ["old", "older", "yesterday"]),
     ],
 )
-def test_the_oldest_go_first_and_never_the_one_in_work(bounds: dict[str, float], gone: list[str]) -> None:
+def test_the_oldest_go_first_and_never_the_one_in_work(bounds: dict[str, float], deleted: list[str]) -> None:
     gb = 1_000_000_000
     ages = [("yesterday", DAY_S, gb), ("now", RECENT_S / 2, gb // 10), ("old", 9 * DAY_S, gb), ("older", 3 * DAY_S, gb)]
 
-    assert names(ages, **bounds) == gone
+    assert names(ages, **bounds) == deleted
 
 
 def test_a_recorder_deletes_its_own_old_logs_and_says_so(tmp_path: Path) -> None:
@@ -43,15 +43,15 @@ def test_a_recorder_deletes_its_own_old_logs_and_says_so(tmp_path: Path) -> None
     for name in old:
         (tmp_path / name).write_bytes(b"x")
         os.utime(tmp_path / name, (NOW_S, NOW_S))
-    said: list[tuple[str, str, str]] = []
+    events: list[tuple[str, str, str]] = []
     options = RecorderOptions(prefix="rig", rotate_bytes=10**9, rotate_s=3600.0, keep_days=30.0)
-    log = Recorder(tmp_path, options, on_event=lambda *event: said.append(event))
+    log = Recorder(tmp_path, options, on_event=lambda *event: events.append(event))
 
     log.start()
     end_s = time.monotonic() + HANG_S
-    while not said and time.monotonic() < end_s:
+    while not events and time.monotonic() < end_s:
         time.sleep(0.01)
     log.close()
 
-    assert said[0] == ("log-deleted", "info", f"{old[0]} deleted: older than 30 days")
+    assert events[0] == ("log-deleted", "info", f"{old[0]} deleted: older than 30 days")
     assert {path.name for path in tmp_path.iterdir()} == {*old[1:], log.files[0].name}

@@ -31,15 +31,15 @@ def calibrated(rig: str, effects: dict[str, float] = DIFFERS, **options: Any) ->
 
 
 def again(bench: Bench) -> list[Verdict]:
-    found = list(run_checks(bench, [check for check in CHECKS if check.name == "calibration"]))
-    return [*found, switch_off(bench)]
+    verdicts = list(run_checks(bench, [check for check in CHECKS if check.name == "calibration"]))
+    return [*verdicts, switch_off(bench)]
 
 
 @pytest.mark.parametrize("rig", ["ce152", "magnetoshield"])
 @pytest.mark.parametrize("firmware", FIRMWARES.values(), ids=FIRMWARES.keys())
 def test_the_stops_read_0_and_the_travel_afterwards_also_after_a_reset(rig: str, firmware: Any) -> None:
     skip_without_compiler()
-    before = selftest(rig, only=["calibration"], effects=DIFFERS, firmware=firmware)
+    before = selftest(rig, names=["calibration"], effects=DIFFERS, firmware=firmware)
 
     bench, verdicts = calibrated(rig, firmware=firmware)
     bench.calibrate = False
@@ -61,10 +61,10 @@ def test_an_image_is_calibrated(chip: str, rig: str) -> None:
     bench.forget_rest()
     later = again(bench)
 
-    kept = chip == "avr"
-    assert names_of(verdicts, Result.WARNING) == ([] if kept else ["calibration-kept"])
+    is_stored = chip == "avr"
+    assert names_of(verdicts, Result.WARNING) == ([] if is_stored else ["calibration-kept"])
     assert names_of(verdicts, Result.FAULT) == []
-    assert ("calibration" in names_of(later, Result.OK)) == kept
+    assert ("calibration" in names_of(later, Result.OK)) == is_stored
 
 
 def test_a_sensor_that_is_right_is_left_alone() -> None:
@@ -85,7 +85,7 @@ def test_firmware_that_takes_none_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr("gateway.emulator.firmware_model.flash.FIRMWARE", (1, 3))
 
     _, verdicts = calibrated("ce152", firmware=Firmware)
-    plain = selftest(only=["calibration"], effects=DIFFERS, firmware=Firmware)
+    plain = selftest(names=["calibration"], effects=DIFFERS, firmware=Firmware)
 
     assert "older than 1.4" in verdicts[0].remedy
     assert "flash firmware 1.4" in next(v.remedy for v in plain if v.name == "calibration")

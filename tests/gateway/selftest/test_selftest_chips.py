@@ -27,7 +27,7 @@ def test_an_image_passes(chip: str, rig: str) -> None:
 def test_an_image_says_how_much_stack_is_left_and_what_its_converter_wakes_up_with() -> None:
     skip_without_avr()
 
-    verdicts = selftest(firmware=partial(CHIPS["avr"], baud=115200), only=["health"])
+    verdicts = selftest(firmware=partial(CHIPS["avr"], baud=115200), names=["health"])
 
     assert [(v.name, v.result) for v in verdicts[:2]] == [("stack", Result.OK), ("input-at-power-on", Result.OK)]
 

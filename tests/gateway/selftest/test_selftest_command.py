@@ -70,7 +70,7 @@ def test_faults_are_exit_code_1_and_each_line_of_json_is_one_object(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ([], "No board is given"),
         (["--board", "/dev/absent", "--yes"], "There is no /dev/absent"),
@@ -80,11 +80,11 @@ def test_faults_are_exit_code_1_and_each_line_of_json_is_one_object(
         (["--board", "/dev/null", "--only", "link", "--calibrate"], "Add --only calibration"),
     ],
 )
-def test_what_cannot_run_is_exit_code_2(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_run_is_exit_code_2(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     code = board51.main(["selftest", *words])
 
     assert code == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 class _Person:
@@ -98,9 +98,11 @@ class _Person:
         return self._answer
 
 
-@pytest.mark.parametrize(("answer", "said"), [("n\n", "Not confirmed"), ("", "Not confirmed"), ("y\n", "/dev/absent")])
+@pytest.mark.parametrize(
+    ("answer", "message"), [("n\n", "Not confirmed"), ("", "Not confirmed"), ("y\n", "/dev/absent")]
+)
 def test_it_asks_before_current_flows(
-    answer: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    answer: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.stdin", _Person(answer))
 
@@ -109,7 +111,7 @@ def test_it_asks_before_current_flows(
     assert code == 2
     err = capsys.readouterr().err
     assert "within reach? [y/N]" in err
-    assert said in err
+    assert message in err
 
 
 def test_the_list_has_each_check(capsys: pytest.CaptureFixture[str]) -> None:
@@ -129,15 +131,15 @@ def test_the_coil_is_off_whatever_ends_it(check: str, error: type[BaseException]
             boards.append(board.firmware)
             raise error
 
-    shown: list[Verdict] = []
+    verdicts: list[Verdict] = []
     bench = virtual_bench(each_tick=break_off)
 
     with pytest.raises(error):
-        command.run_to_the_end(bench, [row for row in CHECKS if row.name == check], shown.append)
+        command.run_to_the_end(bench, [row for row in CHECKS if row.name == check], verdicts.append)
 
     assert boards[0].u == 0
-    assert shown[-1].name == "coil-off"
-    assert shown[-1].result == Result.OK
+    assert verdicts[-1].name == "coil-off"
+    assert verdicts[-1].result == Result.OK
 
 
 @pytest.mark.slow

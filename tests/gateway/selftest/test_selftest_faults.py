@@ -31,7 +31,7 @@ class OtherVersion(Firmware):
         return Nack(Reason.VERSION, 2)
 
 
-class CountsNothing(Firmware):
+class FirmwareWithoutCounter(Firmware):
     def _leave_unanswered(self) -> None:
         pass
 
@@ -110,7 +110,7 @@ MORE_FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     "a tick late": ({"effects": {"actuation-delay": 0.002}}, "delay"),
     "late ticks": ({"faults": ["overrun@1/0.01"]}, "overruns"),
     "a stack that is too deep": ({"faults": ["stack@1"]}, "reported-stack-fault"),
-    "frames not counted": ({"firmware": CountsNothing}, "unaccounted"),
+    "frames not counted": ({"firmware": FirmwareWithoutCounter}, "unaccounted"),
 }
 
 
@@ -128,7 +128,7 @@ def test_a_fault_is_found_and_named(case: str) -> None:
 
 @pytest.mark.parametrize("check", ["safety", "load"])
 def test_a_shorted_driver_is_a_coil_that_may_be_on(check: str) -> None:
-    verdicts = selftest(only=[check], each_tick=at_current("stuck=1000"))
+    verdicts = selftest(names=[check], each_tick=at_current("stuck=1000"))
 
     faults = [verdict for verdict in verdicts if verdict.result == Result.FAULT]
     assert verdicts[-1].name == "coil-off"
@@ -145,7 +145,7 @@ def test_a_silence_between_two_checks_is_found_by_the_stop_after_one() -> None:
 
 @pytest.mark.parametrize("check", ["identity", "staircase", "load"])
 def test_a_board_that_does_not_answer_is_a_fault_of_any_check(check: str) -> None:
-    verdicts = selftest(only=[check], faults=["lost=1:rx"])
+    verdicts = selftest(names=[check], faults=["lost=1:rx"])
 
     assert names_of(verdicts, Result.FAULT) == ["deaf-board"]
     assert names_of(verdicts, Result.OK) == []
@@ -158,7 +158,7 @@ def test_what_comes_and_goes_is_found(faults: list[str], name: str) -> None:
 
 @pytest.mark.slow
 def test_a_line_of_small_losses_is_a_warning() -> None:
-    verdicts = selftest(only=["link"], faults=["flip=2e-5"], quick=False)
+    verdicts = selftest(names=["link"], faults=["flip=2e-5"], quick=False)
 
     assert set(names_of(verdicts, Result.WARNING)) <= {"ping-loss", "lost-states", "bad-frames", "bad-to-board"}
     assert names_of(verdicts, Result.WARNING)
@@ -166,7 +166,9 @@ def test_a_line_of_small_losses_is_a_warning() -> None:
 
 
 def test_the_clock_is_measured_with_its_interval() -> None:
-    (crystal,) = [verdict for verdict in selftest(only=["link"], faults=["crystal=1.001"]) if verdict.name == "crystal"]
+    (crystal,) = [
+        verdict for verdict in selftest(names=["link"], faults=["crystal=1.001"]) if verdict.name == "crystal"
+    ]
 
     ppm, interval = (float(word) for word in crystal.value.replace("ppm", "").split("±"))
     assert crystal.result == Result.OK
@@ -176,7 +178,7 @@ def test_the_clock_is_measured_with_its_interval() -> None:
 def test_a_sensor_that_reads_differently_is_told_how_to_be_calibrated() -> None:
     effects = {"position-sensor-gain": 0.96, "position-sensor-offset": 1.5e-4}
 
-    verdicts = selftest("magnetoshield", only=["calibration"], effects=effects)
+    verdicts = selftest("magnetoshield", names=["calibration"], effects=effects)
 
     (line,) = [verdict for verdict in verdicts if verdict.name == "calibration"]
     assert line.result == Result.WARNING

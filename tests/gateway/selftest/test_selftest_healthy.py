@@ -47,7 +47,7 @@ def test_the_firmware_in_c_passes() -> None:
 
 @pytest.mark.parametrize("check", [check.name for check in CHECKS])
 def test_a_check_needs_none_before_it(check: str) -> None:
-    verdicts = selftest(only=[check], firmware=Firmware)
+    verdicts = selftest(names=[check], firmware=Firmware)
 
     assert names_of(verdicts, Result.FAULT, Result.WARNING) == []
     assert {verdict.check for verdict in verdicts} == {check, "end"}

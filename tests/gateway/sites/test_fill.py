@@ -82,19 +82,19 @@ def test_what_an_older_twin_sent_without_a_time_is_left_out_and_stays(sites: tup
 def test_the_part_that_is_being_written_is_served_and_filled(sites: tuple[Path, Path]) -> None:
     lab, plant = sites
     records = flight(6_000)
-    there = write(lab / "a-000.mcap", records[:8_000], finish=False)
-    here = write(plant / "bus-000.mcap", without(records[:6_000], (0.5, 0.8)), finish=False)
+    lab_writer = write(lab / "a-000.mcap", records[:8_000], finish=False)
+    plant_writer = write(plant / "bus-000.mcap", without(records[:6_000], (0.5, 0.8)), finish=False)
 
     with served(lab) as endpoint, open_bus(endpoint) as session:
         filler = Filler(BusBoard(session, "board51", "*"), plant, settle_s=1.0, days=1e5)
         filler.fill()
         first = account(lab, plant)
         for record in records[8_000:]:
-            there.write(*record)
-            there.flush()
+            lab_writer.write(*record)
+            lab_writer.flush()
         again = filler.fill()
-    there.close()
-    here.close()
+    lab_writer.close()
+    plant_writer.close()
 
     assert first == (0, 0)
     assert again.compared < 6  # what is new, and not all of it once more
@@ -170,14 +170,14 @@ def test_of_a_damaged_part_everything_intact_is_filled_in(sites: tuple[Path, Pat
     at = random.Random(5).randrange(len(data) // 3, len(data) // 2)
     data[at : at + 20_000] = bytes(20_000)  # a chunk at least
     path.write_bytes(data)
-    said: list[str] = []
+    messages: list[str] = []
 
     with served(lab) as endpoint:
-        tally = fill(endpoint, plant, said.append)
+        tally = fill(endpoint, plant, messages.append)
 
     assert account(lab, plant) == (0, 0)
     assert 5_000 < tally.records < 9_900
-    assert "is damaged at byte" in said[0]
+    assert "is damaged at byte" in messages[0]
 
 
 def test_a_bad_request_gets_a_reply_that_says_why(sites: tuple[Path, Path]) -> None:
@@ -232,7 +232,7 @@ def test_without_a_server_the_error_says_what_to_start(tmp_path: Path, capsys: p
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("--settle -1", "-1 is no age; give seconds, 0 or more"),
         ("--settle inf", "inf is no age"),
@@ -241,14 +241,14 @@ def test_without_a_server_the_error_says_what_to_start(tmp_path: Path, capsys: p
     ],
 )
 def test_a_bad_option_is_named_with_what_to_give(
-    words: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:
         code = board51.main(["fill", str(tmp_path), *words.split()])
     except SystemExit as ended:  # of the parser
         code = int(ended.code or 0)
     assert code == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_folder_is_filled_by_one_process_at_a_time(

@@ -195,6 +195,6 @@ def test_models_and_alarms_of_a_twin_that_changed_during_a_cut_are_filled_in_onc
     for topic in REPEATED:
         assert sorted(messages(recorded, topic)) == sorted(messages(log, topic))
     models = [pb.TwinModel.FromString(data) for data in messages(log, "twin/model")]
-    assert [name for name, _ in groupby(one.name for one in models)] == ["ce152", "moved"]
+    assert [name for name, _ in groupby(message.name for message in models)] == ["ce152", "moved"]
     raised = [pb.TwinAlarms.FromString(data) for data in messages(log, "twin/alarms")]
-    assert [is_any for is_any, _ in groupby(bool(one.active) for one in raised)] == [False, True, False]
+    assert [is_any for is_any, _ in groupby(bool(message.active) for message in raised)] == [False, True, False]

@@ -30,10 +30,10 @@ def run_pytest(project: Path, *words: str) -> subprocess.CompletedProcess[str]:
 def test_the_example_project_tests_its_own_code(name: str, passes: int, tmp_path: Path) -> None:
     shutil.copy(EXAMPLE / name, tmp_path)
 
-    done = run_pytest(tmp_path)
+    process = run_pytest(tmp_path)
 
-    assert f"{passes} passed" in done.stdout, done.stdout + done.stderr
-    assert done.returncode == 0
+    assert f"{passes} passed" in process.stdout, process.stdout + process.stderr
+    assert process.returncode == 0
 
 
 @pytest.mark.slow
@@ -48,12 +48,12 @@ def test_a_failing_test_fails_and_leaves_nothing_running(tmp_path: Path) -> None
         "    board51_emulator(effects={'quadratic-rag': 1.0})\n"
     )
 
-    done = run_pytest(tmp_path)
+    process = run_pytest(tmp_path)
 
-    assert "2 failed" in done.stdout
-    assert "AssertionError" in done.stdout
-    assert "quadratic-rag" in done.stdout
-    pid = int(done.stdout.partition("process ")[2].split()[0])
+    assert "2 failed" in process.stdout
+    assert "AssertionError" in process.stdout
+    assert "quadratic-rag" in process.stdout
+    pid = int(process.stdout.partition("process ")[2].split()[0])
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
 
@@ -66,9 +66,9 @@ def test_who_uses_no_fixture_pays_for_nothing(tmp_path: Path) -> None:
         "    assert not {'zenoh', 'numpy', 'numba', 'serial', 'google.protobuf'} & set(sys.modules)\n"
     )
 
-    done = run_pytest(tmp_path)
+    process = run_pytest(tmp_path)
 
-    assert "1 passed" in done.stdout, done.stdout
+    assert "1 passed" in process.stdout, process.stdout
 
 
 def test_an_installation_offers_the_plugin() -> None:

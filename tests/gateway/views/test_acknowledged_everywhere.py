@@ -47,11 +47,11 @@ def test_an_acknowledgement_on_the_page_is_seen_over_opc_ua_and_logged_with_its_
             ben = Page(page_port)
             ben.log_in("ben")
 
-            def seen() -> bool:
+            def is_acknowledged() -> bool:
                 bus.session.put("board51/rig/twin/alarm", raised.SerializeToString())  # a repetition is no new alarm
                 return ben.post("/api/rig/acknowledge", {"name": ALARM}).status_code == 200
 
-            wait_for(seen, "an alarm to acknowledge on the page")
+            wait_for(is_acknowledged, "an alarm to acknowledge on the page")
             line = asyncio.run(acknowledged_in(port))
             vic = Page(page_port)
             vic.log_in("vic")

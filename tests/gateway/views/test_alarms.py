@@ -27,11 +27,11 @@ def test_an_alarm_is_listed_until_it_is_gone_and_seen() -> None:
     came = names(book)
     book.twin_alarm(divergence(active=False), 20)
     went = names(book)
-    done = book.acknowledge("divergence-x", "eva", 30)
+    was_acknowledged = book.acknowledge("divergence-x", "eva", 30)
 
     assert came == [("divergence-x", True, False)]
     assert went == [("divergence-x", False, False)]
-    assert done
+    assert was_acknowledged
     assert names(book) == []
 
 
@@ -39,13 +39,13 @@ def test_an_alarm_that_comes_again_calls_again() -> None:
     book = AlarmBook("rig")
     book.twin_alarm(divergence(active=True), 10)
     assert book.acknowledge("divergence-x", "eva", 20)
-    seen = book.listed()[0]
+    alarm = book.listed()[0]
     assert not book.acknowledge("divergence-x", "eva", 21)
 
     book.twin_alarm(divergence(active=False), 30)
     book.twin_alarm(divergence(active=True), 40)
 
-    assert (seen.acknowledger, seen.value, seen.threshold_on) == ("eva", 9.0, 5.0)
+    assert (alarm.acknowledger, alarm.value, alarm.threshold_on) == ("eva", 9.0, 5.0)
     assert names(book) == [("divergence-x", True, False)]
 
 
@@ -76,10 +76,10 @@ def test_a_sample_from_before_a_fault_does_not_end_it() -> None:
 
     book.event(pb.Event(name="sensor-fault", severity="fault", session=1, tick=100), 1)
     book.state(pb.State(session=1, tick=99), 2)
-    late = book.fault()
+    first_fault = book.fault()
     book.state(pb.State(session=1, tick=101), 3)
 
-    assert (late, book.fault()) == ("sensor-fault", "")
+    assert (first_fault, book.fault()) == ("sensor-fault", "")
 
 
 def test_an_event_gives_a_fault_its_name() -> None:
@@ -199,22 +199,22 @@ def test_the_end_of_the_twin_ends_its_alarms_and_is_one_itself() -> None:
     book.twin_alarm(divergence(active=True), 10)
 
     book.end_twin_alarms(20)
-    gone = names(book)
+    ended_names = names(book)
     book.twin_alarms(pb.TwinAlarms(), 30)
 
-    assert gone == [(TWIN, True, False), ("divergence-x", False, False)]
+    assert ended_names == [(TWIN, True, False), ("divergence-x", False, False)]
     assert not any(active for _, active, _ in names(book))
 
 
 def test_an_acknowledgement_means_what_came_before_it() -> None:
     book = AlarmBook("rig")
     book.twin_alarm(pb.Alarm(name="divergence-x", active=True, host_time_ns=100), 100)
-    seen = pb.Acknowledgement(alarm="divergence-x", who="eva", host_time_ns=99)
+    acknowledgement = pb.Acknowledgement(alarm="divergence-x", who="eva", host_time_ns=99)
 
-    book.repeated(pb.Alarms(acknowledged=[seen]), 200)
+    book.repeated(pb.Alarms(acknowledged=[acknowledgement]), 200)
     too_early = names(book)
-    seen.host_time_ns = 101
-    book.repeated(pb.Alarms(acknowledged=[seen]), 200)
+    acknowledgement.host_time_ns = 101
+    book.repeated(pb.Alarms(acknowledged=[acknowledgement]), 200)
 
     assert too_early == [("divergence-x", True, False)]
     assert names(book) == [("divergence-x", True, True)]

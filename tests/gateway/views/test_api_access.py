@@ -173,10 +173,10 @@ def test_a_stop_waits_for_no_command_and_gives_up_those_that_wait(api: ApiServer
             held = [pool.submit(program.command, command="mark", text="x") for _ in range(40)]
             wait_for(lambda: len(api.gateway.unanswered) >= 5, "commands that wait")
             stopped = api.program("vic").post("/rigs/rig/stop")
-            waiting = [one for one in held if not one.done()]
+            waiting = [future for future in held if not future.done()]
             api.gateway.give_up()
             api.gateway.answer = usual
-            answers = [one.result(HANG_S) for one in held]
+            answers = [future.result(HANG_S) for future in held]
     finally:
         api.gateway.answer = usual
 

@@ -31,8 +31,8 @@ def document() -> dict[str, Any]:
 
 def references(part: object) -> set[str]:
     if isinstance(part, dict):
-        own = {part["$ref"]} if isinstance(part.get("$ref"), str) else set()
-        return own.union(*map(references, part.values()))
+        direct = {part["$ref"]} if isinstance(part.get("$ref"), str) else set()
+        return direct.union(*map(references, part.values()))
     return set().union(*map(references, part)) if isinstance(part, list) else set()
 
 
@@ -102,15 +102,15 @@ def test_every_reason_for_a_refusal_of_a_command_has_a_remedy() -> None:
 
 
 def test_the_page_lists_every_operation_with_its_keys(document: dict[str, Any]) -> None:
-    shown = list(operations(document))
+    listing = list(operations(document))
 
-    assert len(shown) == sum(map(len, document["paths"].values()))
-    command = next(operation for operation in shown if operation["name"].endswith("/commands"))
+    assert len(listing) == sum(map(len, document["paths"].values()))
+    command = next(operation for operation in listing if operation["name"].endswith("/commands"))
     assert len(command["bodies"]) == len(commands.KINDS)
-    rig = next(operation for operation in shown if operation["name"].endswith("/rigs/{rig}"))
+    rig = next(operation for operation in listing if operation["name"].endswith("/rigs/{rig}"))
     ((_, keys),) = rig["answers"]
     assert {"alarms.name", "divergence.nis_mean", "limits.gains"} <= {row.name for row in keys}
-    states = next(operation for operation in shown if operation["name"].endswith("/states"))
+    states = next(operation for operation in listing if operation["name"].endswith("/states"))
     assert [(row.name, row.kind) for row in states["query"][1:]] == [
         ("last_s", "number 0 .. 60"),
         ("format", '"json" | "csv"'),
@@ -122,7 +122,7 @@ def test_the_how_to_names_every_path(document: dict[str, Any]) -> None:
     examples = {"{rig}": "rig1", "{model}": "NAME", "{log}": "NAME", "{result}": "RESULT"}
 
     for path in document["paths"]:
-        shown = re.sub(r"{\w+}", lambda part: examples[part[0]], path)
+        route = re.sub(r"{\w+}", lambda part: examples[part[0]], path)
         assert (
-            shown in page or f".../{shown.partition('/rig1/')[2]}" in page or f"...{shown[shown.rindex('/') :]}" in page
+            route in page or f".../{route.partition('/rig1/')[2]}" in page or f"...{route[route.rindex('/') :]}" in page
         )

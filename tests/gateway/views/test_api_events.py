@@ -20,13 +20,13 @@ ALARM = pb.Alarm(name="divergence-x", active=True, host_time_ns=7, text="x is of
 MODEL = f"{CAMPAIGN}/model.json"
 
 
-def until(stream: ClientConnection, kind: str, **wanted: object) -> dict[str, Any]:
+def until(stream: ClientConnection, kind: str, **expected: object) -> dict[str, Any]:
     """The next notice of that kind with these values."""
     while True:
         notice = json.loads(stream.recv(timeout=HANG_S))[kind]
-        if notice is not None and wanted.items() <= notice.items():
-            found: dict[str, Any] = notice
-            return found
+        if notice is not None and expected.items() <= notice.items():
+            result: dict[str, Any] = notice
+            return result
 
 
 def test_events_are_listed_the_oldest_first(api: ApiServer) -> None:
@@ -55,7 +55,7 @@ def test_a_stream_tells_events_and_the_life_of_an_alarm(api: ApiServer) -> None:
             came = until(stream, "alarm", name="divergence-x", active=True)
         listed = api.program("vic").json("/rigs/rig/alarms")["alarms"]
         forbidden = api.program("vic").command(command="acknowledge", alarm="divergence-x")
-        done = api.program("ben").command(command="acknowledge", alarm="divergence-x", comment="seen")
+        answer = api.program("ben").command(command="acknowledge", alarm="divergence-x", comment="seen")
         (_, command) = api.gateway.commands[-1]
         reply = pb.CommandReply(accepted=True)
         api.gateway.send("command/record", pb.CommandRecord(command=command, reply=reply, received_ns=9))
@@ -67,7 +67,7 @@ def test_a_stream_tells_events_and_the_life_of_an_alarm(api: ApiServer) -> None:
 
     assert (came["severity"], came["acknowledged"], came["text"]) == ("warning", False, "x is off")
     assert "divergence-x" in [alarm["name"] for alarm in listed]
-    assert (forbidden.status_code, done.json()["executed"]) == (403, True)
+    assert (forbidden.status_code, answer.json()["executed"]) == (403, True)
     assert (command.who, command.acknowledge.comment) == ("ben", "seen")
     assert (quiet["active"], quiet["acknowledger"]) == (True, "ben")
     assert over["acknowledged"]
@@ -78,26 +78,26 @@ def test_a_stream_tells_events_and_the_life_of_an_alarm(api: ApiServer) -> None:
 def test_an_alarm_is_shelved_and_brought_back(api: ApiServer) -> None:
     api.gateway.send("twin/alarm", pb.Alarm(name="innovation", active=True, host_time_ns=7, text="high"))
     ben = api.program("ben")
-    about: dict[str, Any] = {"alarm": "innovation", "comment": "known"}
+    details: dict[str, Any] = {"alarm": "innovation", "comment": "known"}
 
     def entry() -> dict[str, Any]:
         listed = api.program("vic").json("/rigs/rig/alarms")["alarms"]
         return next((alarm for alarm in listed if alarm["name"] == "innovation"), {})
 
     wait_for(entry, "the alarm")
-    forbidden = api.program("vic").command(command="shelve", shelve_s=600.0, **about)
-    malformed = [ben.command(command="shelve", shelve_s=wrong, **about) for wrong in (0.0, -1.0, 90000.0)]
-    shelved, during = ben.command(command="shelve", shelve_s=600.0, **about).json(), entry()
+    forbidden = api.program("vic").command(command="shelve", shelve_s=600.0, **details)
+    malformed = [ben.command(command="shelve", shelve_s=wrong, **details) for wrong in (0.0, -1.0, 90000.0)]
+    shelved, during = ben.command(command="shelve", shelve_s=600.0, **details).json(), entry()
     api.gateway.send("twin/alarm", pb.Alarm(name="innovation", active=False, host_time_ns=11))
     wait_for(lambda: entry()["active"] is False, "its end, on the shelf")
-    gone = entry()
-    back = ben.command(command="unshelve", **about).json()
+    ended_entry = entry()
+    back = ben.command(command="unshelve", **details).json()
 
     assert forbidden.status_code == 403
     assert [answer.json()["code"] for answer in malformed] == 3 * ["malformed"]
     assert (shelved["executed"], back["executed"]) == (True, True)
     assert 0.0 < during["shelved_until_s"] - time.time() <= 600.0
-    assert (gone["shelved_until_s"], gone["acknowledger"]) == (during["shelved_until_s"], "ben")
+    assert (ended_entry["shelved_until_s"], ended_entry["acknowledger"]) == (during["shelved_until_s"], "ben")
     assert entry() == {}
 
 
@@ -206,8 +206,8 @@ def test_a_job_runs_and_its_end_is_told(api: ApiServer, kind: str) -> None:
 
     def ended() -> dict[str, Any] | None:
         of_kind = {job["kind"]: job for job in program.json("/rigs/rig/jobs")["jobs"]}
-        found: dict[str, Any] = of_kind[kind]
-        return None if found["running"] else found
+        latest: dict[str, Any] = of_kind[kind]
+        return None if latest["running"] else latest
 
     job = wait_for(ended, "its end")
     assert started.json()["executed"], started.text

@@ -44,14 +44,14 @@ def line(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[PlayedGatew
         yield gateway, program
 
 
-def done(program: Program, kind: str, **more: object) -> dict[str, Any]:
+def run_job(program: Program, kind: str, **more: object) -> dict[str, Any]:
     """Start a job and wait for its end."""
     started = program.post("/rigs/rig/jobs", {"job": kind, **more})
     assert started.json()["executed"], started.text
 
     def ended() -> dict[str, Any] | None:
-        found: dict[str, Any] = {job["kind"]: job for job in program.json("/rigs/rig/jobs")["jobs"]}[kind]
-        return None if found["running"] else found
+        latest: dict[str, Any] = {job["kind"]: job for job in program.json("/rigs/rig/jobs")["jobs"]}[kind]
+        return None if latest["running"] else latest
 
     return wait_for(ended, "its end", WORK_S)
 
@@ -59,7 +59,7 @@ def done(program: Program, kind: str, **more: object) -> dict[str, Any]:
 def test_a_model_is_validated_on_the_recordings_that_judge(line: tuple[PlayedGateway, Program]) -> None:
     _, program = line
 
-    job = done(program, "validate")
+    job = run_job(program, "validate")
 
     assert (job["failed"], job["who"]) == (False, "ana"), job
     result = program.json("/rigs/rig/results/validation", campaign=CAMPAIGN)
@@ -69,7 +69,7 @@ def test_a_model_is_validated_on_the_recordings_that_judge(line: tuple[PlayedGat
 def test_gains_are_designed_and_come_as_the_command_that_loads_them(line: tuple[PlayedGateway, Program]) -> None:
     gateway, program = line
 
-    job = done(program, "design", model=MODEL, x_m=2.85e-3)
+    job = run_job(program, "design", model=MODEL, x_m=2.85e-3)
 
     assert not job["failed"], job
     result = program.json("/rigs/rig/results/design", campaign=CAMPAIGN)
@@ -88,7 +88,7 @@ def test_a_model_is_handed_over_to_the_twin_that_runs(line: tuple[PlayedGateway,
             return "rig" in service.boards
 
         wait_for(served, "the board at the twin")
-        job = done(program, "hand-over", model=MODEL)
+        job = run_job(program, "hand-over", model=MODEL)
         title, who = service.boards["rig"].belief.title, service.boards["rig"].belief.who
 
     assert not job["failed"], job

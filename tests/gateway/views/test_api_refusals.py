@@ -149,10 +149,10 @@ def test_another_method_or_path_is_answered_in_json(api: ApiServer, method: str)
     program = api.program("ana")
 
     answer = program.http.request(method, "/api/v1/rigs/rig")
-    nothing = [program.http.get(f"/api/v1/{path}") for path in ("rigs/rig/nothing", "rig", "a%0Ab")]
+    answers = [program.http.get(f"/api/v1/{path}") for path in ("rigs/rig/nothing", "rig", "a%0Ab")]
 
     assert (answer.status_code, answer.json()["code"], answer.headers["allow"]) == (405, "method", "GET")
-    assert [(one.status_code, one.json()["code"]) for one in nothing] == [(404, "no-path")] * 3
+    assert [(response.status_code, response.json()["code"]) for response in answers] == [(404, "no-path")] * 3
     assert program.get("/rigs/rig/stop").headers["allow"] == "POST"
 
 

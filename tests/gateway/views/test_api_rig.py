@@ -83,12 +83,12 @@ def test_recent_samples_are_every_tick_in_both_forms(flight: Program) -> None:
     assert all(
         b - a == 1 + lost for (a, b), lost in zip(pairwise(columns["tick"]), columns["lost_before"][1:], strict=True)
     )
-    by_tick = {int(row["tick"]): row for row in rows}
+    row_at_tick = {int(row["tick"]): row for row in rows}
     for n, tick in enumerate(columns["tick"]):
-        assert {name: float(by_tick[tick][name]) for name in ("t_s", "i_c_a", "x_m", "u_c_v", "x_ref_m")} == {
+        assert {name: float(row_at_tick[tick][name]) for name in ("t_s", "i_c_a", "x_m", "u_c_v", "x_ref_m")} == {
             name: columns[name][n] for name in ("t_s", "i_c_a", "x_m", "u_c_v", "x_ref_m")
         }
-        assert by_tick[tick]["mode"] == columns["mode"][n]
+        assert row_at_tick[tick]["mode"] == columns["mode"][n]
     assert flight.json("/rigs/rig/states", last_s=0)["tick"] == []
 
 
@@ -172,8 +172,8 @@ def test_a_capture_is_started_and_fetched_in_both_forms(flight: Program) -> None
         "rounded to the converter"
     )
     assert made["i_c_a"][-1] > 0.05 > made["i_c_a"][0], "the current has followed the step"
-    late = flight.get("/rigs/rig/capture", from_tick=2**40)
-    assert (late.status_code, late.json()["code"]) == (404, "no-capture")
+    no_capture = flight.get("/rigs/rig/capture", from_tick=2**40)
+    assert (no_capture.status_code, no_capture.json()["code"]) == (404, "no-capture")
 
 
 def test_a_campaign_is_started_seen_and_interrupted(rig: Rig) -> None:
@@ -216,12 +216,12 @@ def test_metrics_are_those_of_the_flight(flight: Program) -> None:
             for sample in family.samples
         }
 
-    def told() -> dict[tuple[str, str], float] | None:
+    def read_metrics() -> dict[tuple[str, str], float] | None:
         now = numbers()
         live = ("board51_position_meters", "") in now  # on a busy machine samples may stay away for a moment
         return now if live and now["board51_commands_refused_total", ""] >= 1 else None
 
-    now = wait_for(told, "a status with the refusal")
+    now = wait_for(read_metrics, "a status with the refusal")
     assert abs(now["board51_position_meters", ""] - X_M) < 1e-3
     assert now["board51_mode", "closed-loop"] == 1.0
     assert now["board51_samples_received_total", ""] > 100
@@ -232,13 +232,13 @@ def test_metrics_are_those_of_the_flight(flight: Program) -> None:
 def test_the_client_in_python_flies_the_ball(rig: Rig) -> None:
     program = Program(rig.port)
 
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, CLIENTS / "fly.py", f"{rig.url}/api/v1/rigs/rig"],
         capture_output=True, text=True, timeout=HANG_S, check=True,
     )  # fmt: skip
 
-    assert done.stdout.startswith("executed\n")
-    height = re.search(r"x = ([0-9.]+) mm", done.stdout)
+    assert process.stdout.startswith("executed\n")
+    height = re.search(r"x = ([0-9.]+) mm", process.stdout)
     assert height is not None
     assert abs(float(height[1]) - 3.0) < 0.2
     wait_for(lambda: program.json("/rigs/rig/state")["mode"] == "idle", "the coil off")
@@ -252,13 +252,13 @@ def test_the_client_in_octave_flies_the_ball(rig: Rig) -> None:
         f" try, fly('{rig.url}', 'nix'); catch e, printf(' %s|%s', e.identifier, e.message); end"
     )
 
-    done = subprocess.run(
+    process = subprocess.run(
         ["octave-cli", "--no-gui", "--no-init-file", "--quiet", "--eval", script],
         cwd=CLIENTS, capture_output=True, text=True, timeout=HANG_S, check=False,
     )  # fmt: skip
 
-    assert done.returncode == 0, done.stderr
-    first, last, rows, width, *refused = done.stdout.split()
+    assert process.returncode == 0, process.stderr
+    first, last, rows, width, *refused = process.stdout.split()
     assert abs(float(last) - 3.5) < 0.2, "the step has arrived"
     assert abs(float(first) - 3.0) < 0.7, "recorded from before it"
     assert (int(rows) > 300, int(width)) == (True, 1)

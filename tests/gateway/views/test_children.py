@@ -115,9 +115,9 @@ def test_a_priority_that_cannot_be_is_named_and_the_usual_one_taken(
         wait_for(listening(port), "view")
         nice = os.getpriority(os.PRIO_PROCESS, view.pid)
         view.kill()
-        said = view.communicate()[1]
+        error_output = view.communicate()[1]
 
-    assert f"BOARD51_CHILD_NICE: '{stated}' is not a whole number from 0 to 19; 5 is used" in said
+    assert f"BOARD51_CHILD_NICE: '{stated}' is not a whole number from 0 to 19; 5 is used" in error_output
     assert nice == min(os.getpriority(os.PRIO_PROCESS, 0) + NICER, 19)
 
 

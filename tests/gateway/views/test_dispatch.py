@@ -46,7 +46,7 @@ def accepted() -> pb.CommandReply:
 
 def test_a_stop_waits_for_no_act_and_gives_up_what_waits_for_its_rig() -> None:
     async def play(stopped: str) -> list[pb.CommandReply]:
-        busy, done = Busy(), []
+        busy, replies = Busy(), []
         await busy.begin()
         rigs = ("rig1", "rig2", "")  # the last concerns no rig
         waiting = [asyncio.create_task(busy.dispatch.act(Wish(board=rig), accepted)) for rig in rigs]
@@ -57,36 +57,36 @@ def test_a_stop_waits_for_no_act_and_gives_up_what_waits_for_its_rig() -> None:
         assert reply.accepted
         assert not any(task.done() for task in (*busy.waiting, *waiting)), "no thread is free, and STOP needs none"
         await busy.end()
-        done += await asyncio.gather(*waiting)
-        done.append(await busy.dispatch.act(Wish(board="rig1"), accepted))
-        return done
+        replies += await asyncio.gather(*waiting)
+        replies.append(await busy.dispatch.act(Wish(board="rig1"), accepted))
+        return replies
 
-    one, all_rigs = asyncio.run(play("rig1")), asyncio.run(play("*"))
+    single_rig, all_rigs = asyncio.run(play("rig1")), asyncio.run(play("*"))
 
-    assert [reply.reason for reply in one] == ["superseded-by-stop", "", "", ""]
+    assert [reply.reason for reply in single_rig] == ["superseded-by-stop", "", "", ""]
     assert [reply.reason for reply in all_rigs] == ["superseded-by-stop", "superseded-by-stop", "", ""]
 
 
 def test_a_stop_of_another_view_gives_up_what_came_before_it() -> None:
-    seen_s = time.monotonic()
-    dispatch = Dispatch("page", lambda board: seen_s if board == "rig1" else -math.inf)
+    stop_s = time.monotonic()
+    dispatch = Dispatch("page", lambda board: stop_s if board == "rig1" else -math.inf)
 
     async def act(board: str, arrived_s: float) -> str:
         return (await dispatch.act(Wish(board=board, arrived_s=arrived_s), accepted)).reason
 
-    assert asyncio.run(act("rig1", seen_s - 0.1)) == "superseded-by-stop"
-    assert asyncio.run(act("rig1", seen_s + 0.1)) == ""
-    assert asyncio.run(act("rig2", seen_s - 0.1)) == ""
+    assert asyncio.run(act("rig1", stop_s - 0.1)) == "superseded-by-stop"
+    assert asyncio.run(act("rig1", stop_s + 0.1)) == ""
+    assert asyncio.run(act("rig2", stop_s - 0.1)) == ""
 
 
 def test_whether_an_act_is_late_is_judged_when_it_begins() -> None:
     async def play() -> list[str]:
         busy = Busy()
         await busy.begin()
-        late = Wish(board="rig1", arrived_s=time.monotonic() - FRESH_S)
+        stale = Wish(board="rig1", arrived_s=time.monotonic() - FRESH_S)
         left = Wish(board="rig1", arrived_s=time.monotonic() + HANG_S)
-        here = Wish(board="rig1", arrived_s=time.monotonic() + HANG_S)  # fresh however slow this machine is
-        waiting = [asyncio.create_task(busy.dispatch.act(wish, accepted)) for wish in (late, left, here)]
+        fresh = Wish(board="rig1", arrived_s=time.monotonic() + HANG_S)  # fresh however slow this machine is
+        waiting = [asyncio.create_task(busy.dispatch.act(wish, accepted)) for wish in (stale, left, fresh)]
         await asyncio.sleep(0)
         left.has_left = True
         await busy.end()

@@ -35,21 +35,21 @@ def feed(gateway: PlayedGateway) -> Iterator[Feed]:
         yield feed
 
 
-def heard(feed: Feed, gateway: PlayedGateway, board: str = "rig") -> BoardFeed:
+def await_feed(feed: Feed, gateway: PlayedGateway, board: str = "rig") -> BoardFeed:
     """The board, once a sample has arrived and none is under way; subscriptions take a moment to reach the router."""
 
     def look() -> BoardFeed | None:
         gateway.state(board)
-        found = feed.board(board)
-        return found if found is not None and found.latest(pb.State) is not None else None
+        candidate = feed.board(board)
+        return candidate if candidate is not None and candidate.latest(pb.State) is not None else None
 
-    found = wait_for(look, f"board {board} in the feed")
-    wait_for(lambda: found.latest(pb.State) == gateway.last, "the last sample")
-    return found
+    board_feed = wait_for(look, f"board {board} in the feed")
+    wait_for(lambda: board_feed.latest(pb.State) == gateway.last, "the last sample")
+    return board_feed
 
 
 def test_the_latest_of_each_type_is_kept_for_each_board(feed: Feed, gateway: PlayedGateway) -> None:
-    rig, other = heard(feed, gateway), heard(feed, gateway, "other")
+    rig, other = await_feed(feed, gateway), await_feed(feed, gateway, "other")
 
     gateway.state(x_m=1e-3)
     gateway.state("other", x_m=2e-3)
@@ -68,7 +68,7 @@ def test_the_latest_of_each_type_is_kept_for_each_board(feed: Feed, gateway: Pla
 
 
 def test_a_board_that_falls_silent_is_not_live_within_a_second(feed: Feed, gateway: PlayedGateway) -> None:
-    rig = heard(feed, gateway)
+    rig = await_feed(feed, gateway)
     gateway.status()
     gateway.state()
     wait_for(lambda: rig.latest(pb.Status), "status")
@@ -97,18 +97,18 @@ def test_silence_is_judged_by_the_clock_of_the_view(gateway: PlayedGateway) -> N
     now_s = [100.0]
     with client(gateway.endpoint) as bus:
         feed = Feed(bus.session, now_s=lambda: now_s[0])
-        rig = heard(feed, gateway)
+        rig = await_feed(feed, gateway)
         assert rig.link().live
 
         now_s[0] += 0.6
         silent = rig.link().state
         now_s[0] += 3.0
-        gone = rig.link()
+        lost_link = rig.link()
         alarms = [(a.name, a.active) for a in rig.alarms()]
-        heard(feed, gateway)
+        await_feed(feed, gateway)
         wait_for(lambda: rig.link().live, "samples")
 
-        assert (silent, gone.state) == ("connecting", "no-gateway")
+        assert (silent, lost_link.state) == ("connecting", "no-gateway")
         assert alarms == [(LINK, True)]
         assert [(a.name, a.active) for a in rig.alarms()] == [(LINK, False)]
         feed.close()
@@ -126,25 +126,25 @@ def test_a_board_that_is_just_being_found_is_no_alarm(feed: Feed, gateway: Playe
 
 
 def test_a_tap_gets_every_spike(feed: Feed, gateway: PlayedGateway) -> None:
-    rig = heard(feed, gateway)
+    rig = await_feed(feed, gateway)
     tap = rig.tap(pb.State, width_s=0.02)
 
     for n in range(100):
         gateway.state(x_m=9e-3 if n == 41 else 3e-3)
     bins = tap.take()
 
-    def all_taken() -> bool:
+    def has_all_samples() -> bool:
         bins.extend(tap.take())
         return bool(bins) and bins[-1].message.tick > gateway.last.tick - 10  # the last bin is still open
 
-    wait_for(all_taken, "all samples")
+    wait_for(has_all_samples, "all samples")
 
     assert max(b.high["x_m"] for b in bins) == 9e-3
     assert len(bins) < 30
 
 
 def test_an_absent_value_is_nan_and_not_zero(feed: Feed, gateway: PlayedGateway) -> None:
-    rig = heard(feed, gateway)
+    rig = await_feed(feed, gateway)
     tap = rig.tap(pb.State, width_s=0.002)
 
     gateway.state(i_c_a=None, x_m=1e-3)
@@ -167,13 +167,13 @@ def acknowledgement(alarm: str, comment: str = "") -> pb.Command:
 
 
 def test_alarms_of_twin_and_board_are_listed_and_acknowledged(feed: Feed, gateway: PlayedGateway) -> None:
-    rig = heard(feed, gateway)
+    rig = await_feed(feed, gateway)
 
     gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=True, text="off"))
     wait_for(rig.alarms, "alarm")
-    done = feed.command("rig", acknowledgement("divergence-x"), who="eva")
+    reply = feed.command("rig", acknowledgement("divergence-x"), who="eva")
 
-    assert done.accepted
+    assert reply.accepted
     assert [(a.name, a.acknowledger) for a in rig.alarms() if a.name != LINK] == [("divergence-x", "eva")]
     assert gateway.commands[0][1].acknowledge.alarm == "divergence-x"
     assert feed.command("rig", acknowledgement("divergence-x"), who="eva").reason == "no-alarm"
@@ -197,15 +197,15 @@ def test_what_is_seen_in_one_view_is_seen_in_all_and_in_those_that_come_later() 
             wait_for(arrived, "alarm")
 
             reply = feeds[0].command("rig", acknowledgement("divergence-x", "known"), who="eva")
-            seen = wait_for(lambda: [a for a in boards[1].alarms() if a.acknowledged], "acknowledgement elsewhere")
+            confirmed = wait_for(lambda: [a for a in boards[1].alarms() if a.acknowledged], "acknowledgement elsewhere")
             feeds.append(Feed(elsewhere.session))
-            late = wait_for(lambda: feeds[2].board("rig"), "board")
+            new_board = wait_for(lambda: feeds[2].board("rig"), "board")
             bus.session.put("board51/rig/twin/alarms", pb.TwinAlarms(active=[raised]).SerializeToString())
-            seen_late = wait_for(lambda: [a for a in late.alarms() if a.acknowledged], "acknowledgement later")
+            confirmed_new = wait_for(lambda: [a for a in new_board.alarms() if a.acknowledged], "acknowledgement later")
             event = bus.await_event("acknowledged")
 
             assert reply.accepted
-            for alarm in (seen[0], seen_late[0]):
+            for alarm in (confirmed[0], confirmed_new[0]):
                 assert (alarm.name, alarm.acknowledger, alarm.comment) == ("divergence-x", "eva", "known")
                 assert alarm.since_ns == raised.host_time_ns
             assert event.text == "eva: divergence-x known"
@@ -217,7 +217,7 @@ def test_the_alarm_that_there_is_no_gateway_can_be_acknowledged_without_one(gate
     now_s = [100.0]
     with client(gateway.endpoint) as bus:
         feed = Feed(bus.session, now_s=lambda: now_s[0])
-        rig = heard(feed, gateway)
+        rig = await_feed(feed, gateway)
         gateway.stop_answering()
         now_s[0] += 4.0
         assert [a.name for a in rig.alarms()] == [LINK]
@@ -233,22 +233,22 @@ def test_a_twin_that_ends_is_an_alarm_and_its_own_alarms_end(gateway: PlayedGate
     now_s = [100.0]
     with client(gateway.endpoint) as bus:
         feed = Feed(bus.session, now_s=lambda: now_s[0])
-        rig = heard(feed, gateway)
+        rig = await_feed(feed, gateway)
         active = pb.TwinAlarms(active=[pb.Alarm(name="divergence-x", active=True, text="off")])
         gateway.send("twin/alarms", active)
         wait_for(rig.alarms, "alarm")
 
         now_s[0] += TWIN_TIMEOUT_S + 1.0
-        heard(feed, gateway)  # the gateway was away as well, and its first word may be a sample: the twin has time
+        await_feed(feed, gateway)  # the gateway was away as well, and its first word may be a sample: the twin has time
         wait_for(lambda: rig.link().live, "samples")
         with_time = [(a.name, a.active) for a in rig.alarms() if a.name != LINK]
         for _ in range(5):
             now_s[0] += TWIN_TIMEOUT_S / 4.0
-            heard(feed, gateway)  # this time it is there, and the twin is not
-        gone = wait_for(lambda: [a for a in rig.alarms() if a.name == TWIN], "end of the twin")
+            await_feed(feed, gateway)  # this time it is there, and the twin is not
+        end_alarms = wait_for(lambda: [a for a in rig.alarms() if a.name == TWIN], "end of the twin")
 
         assert with_time == [("divergence-x", True)]
-        assert gone[0].active
+        assert end_alarms[0].active
         assert not next(a for a in rig.alarms() if a.name == "divergence-x").active
         feed.close()
 
@@ -263,7 +263,7 @@ def test_a_command_says_who_and_comes_back_with_the_answer(feed: Feed, gateway: 
 
 
 def test_junk_on_the_bus_is_counted_and_changes_nothing(feed: Feed, gateway: PlayedGateway) -> None:
-    rig = heard(feed, gateway)
+    rig = await_feed(feed, gateway)
 
     gateway.put("states", b"\xff\xff\xff")
     wait_for(lambda: feed.refused, "refusal")
@@ -317,7 +317,7 @@ def test_a_view_finds_a_gateway_that_was_restarted() -> None:
 def test_a_board_that_does_not_answer_is_an_alarm_while_its_samples_are_live(
     feed: Feed, gateway: PlayedGateway
 ) -> None:
-    rig = heard(feed, gateway)
+    rig = await_feed(feed, gateway)
 
     def unanswered(*, active: bool) -> bool:
         gateway.state()
@@ -325,19 +325,19 @@ def test_a_board_that_does_not_answer_is_an_alarm_while_its_samples_are_live(
 
     gateway.send("status", pb.Status(link="streaming", to_board="unanswered", unanswered_s=2.0, host_time_ns=10**18))
     wait_for(lambda: unanswered(active=True), "the alarm")
-    live, shown = rig.link().live, rest(rig)["status"]
+    live, rest_status = rig.link().live, rest(rig)["status"]
     gateway.send("status", pb.Status(link="streaming", to_board="answering", host_time_ns=10**18 + 1))
     wait_for(lambda: unanswered(active=False), "its end")
 
     assert live
-    assert shown["to_board"] == "unanswered"
+    assert rest_status["to_board"] == "unanswered"
 
 
 def test_a_rig_that_is_unseen_for_minutes_can_be_removed_and_comes_back_by_itself(gateway: PlayedGateway) -> None:
     now_s = [100.0]
     with client(gateway.endpoint) as bus:
         feed = Feed(bus.session, now_s=lambda: now_s[0])
-        rig = heard(feed, gateway)
+        rig = await_feed(feed, gateway)
         now_s[0] += UNSEEN_S - 1.0
         assert (feed.remove("rig"), feed.remove("nobody")) == (False, False)
         now_s[0] += 2.0
@@ -345,7 +345,7 @@ def test_a_rig_that_is_unseen_for_minutes_can_be_removed_and_comes_back_by_itsel
         assert feed.remove("rig")
 
         assert feed.boards() == ()
-        assert heard(feed, gateway) is not rig
+        assert await_feed(feed, gateway) is not rig
         feed.close()
 
 
@@ -372,7 +372,7 @@ def test_the_last_stop_of_a_board_is_known_whoever_sent_it(gateway: PlayedGatewa
     now_s = [100.0]
     with client(gateway.endpoint) as bus:
         feed = Feed(bus.session, now_s=lambda: now_s[0])
-        heard(feed, gateway)
+        await_feed(feed, gateway)
         assert feed.stopped_s("rig") == feed.stopped_s("nobody") == -math.inf
         now_s[0] = 123.0
 

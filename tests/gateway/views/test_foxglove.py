@@ -29,19 +29,19 @@ def gateway() -> Iterator[PlayedGateway]:
         yield played
 
 
-async def listen(port: int, wanted: str, count: int = 20) -> tuple[dict[str, Any], list[tuple[int, bytes]]]:
+async def listen(port: int, topic: str, count: int = 20) -> tuple[dict[str, Any], list[tuple[int, bytes]]]:
     """The advertisement of a topic, and its first messages: (log time, payload)."""
     async with connect(f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol("foxglove.sdk.v1")]) as socket:
         channel: dict[str, Any] = {}
         messages: list[tuple[int, bytes]] = []
         async for frame in socket:
             if isinstance(frame, str):
-                said = json.loads(frame)
-                offers = said.get("channels", []) if said["op"] == "advertise" else []
-                offered = next((offer for offer in offers if offer["topic"] == wanted), None)
+                notice = json.loads(frame)
+                offers = notice.get("channels", []) if notice["op"] == "advertise" else []
+                offered = next((offer for offer in offers if offer["topic"] == topic), None)
                 channel = channel or offered or {}
                 # The server may offer a channel a moment before it knows it: then it refuses, and is asked again.
-                if offered or (said["op"] == "status" and "nknown channel" in said["message"]):
+                if offered or (notice["op"] == "status" and "nknown channel" in notice["message"]):
                     subscription = {"id": 1, "channelId": channel["id"]}
                     await socket.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
             elif frame[0] == 1:
@@ -90,11 +90,11 @@ def test_a_port_in_use_is_an_error_that_says_so(gateway: PlayedGateway) -> None:
     port = free_port()
     with client(gateway.endpoint) as bus:
         view = FoxgloveView(bus.session, "board51", "127.0.0.1", port)
-        with pytest.raises(ServiceError, match="Foxglove cannot listen") as said:
+        with pytest.raises(ServiceError, match="Foxglove cannot listen") as raised:
             FoxgloveView(bus.session, "board51", "127.0.0.1", port)
         view.close()
 
-    assert "--listen" in str(said.value)
+    assert "--listen" in str(raised.value)
 
 
 @pytest.mark.parametrize(("topic", "schema"), [("log", "foxglove.Log"), ("scene", "foxglove.SceneUpdate")])
@@ -111,9 +111,9 @@ def test_the_log_and_3d_panels_have_topics_of_their_own(gateway: PlayedGateway, 
         channel, messages = asyncio.run(asyncio.wait_for(listen(view.port, f"board51/rig1/{topic}", 1), HANG_S))
         view.close()
 
-    shown = decode(channel, messages[0][1])
+    message = decode(channel, messages[0][1])
     assert channel["schemaName"] == schema
     if topic == "log":
-        assert (shown.name, shown.message, shown.level) == ("board", "over-current", 4)  # 4: ERROR
+        assert (message.name, message.message, message.level) == ("board", "over-current", 4)  # 4: ERROR
     else:
-        assert [entity.id for entity in shown.entities] == ["coil", "ball"]
+        assert [entity.id for entity in message.entities] == ["coil", "ball"]

@@ -25,13 +25,13 @@ from protocol.log.reader import LogReader
 from protocol.plant import Plant
 from tests.harness.gateway.gateway_peers import gateway_and_client, gateway_config
 
-Shown = dict[str, list[tuple[int, Any]]]  # by topic: log time and message
+Messages = dict[str, list[tuple[int, Any]]]  # by topic: log time and message
 
 
-def decoded(path: Path) -> Shown:
+def decoded(path: Path) -> Messages:
     """All messages of a file, by a reader that knows nothing but the file."""
     classes: dict[int, Any] = {}
-    found: Shown = {}
+    messages: Messages = {}
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
             assert schema is not None
@@ -41,8 +41,8 @@ def decoded(path: Path) -> Shown:
                     pool.Add(part)
                 classes[schema.id] = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
             parsed = classes[schema.id].FromString(message.data)
-            found.setdefault(channel.topic, []).append((message.log_time, parsed))
-    return found
+            messages.setdefault(channel.topic, []).append((message.log_time, parsed))
+    return messages
 
 
 @pytest.fixture(scope="module")
@@ -63,20 +63,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def shown(folder: Path) -> Shown:
+def log_messages(folder: Path) -> Messages:
     return decoded(folder / "shown-twin.mcap") | decoded(folder / "shown-run.mcap")
 
 
-def test_events_and_refused_commands_are_lines(shown: Shown) -> None:
-    lines = [(line.name, line.level, line.message) for _, line in shown["board51/rig/log"]]
+def test_events_and_refused_commands_are_lines(log_messages: Messages) -> None:
+    lines = [(line.name, line.level, line.message) for _, line in log_messages["board51/rig/log"]]
 
-    said = [message for name, level, message in lines if name == "command"]
-    assert len(said) == 1
-    assert said[0].startswith("set-reference by ")
-    assert "out-of-range" in said[0]
+    refusals = [message for name, level, message in lines if name == "command"]
+    assert len(refusals) == 1
+    assert refusals[0].startswith("set-reference by ")
+    assert "out-of-range" in refusals[0]
     assert any(name == "board" and "mode-changed" in message for name, _, message in lines)
-    assert [line.timestamp.ToNanoseconds() for _, line in shown["board51/rig/log"]] == [
-        time_ns for time_ns, _ in shown["board51/rig/log"]
+    assert [line.timestamp.ToNanoseconds() for _, line in log_messages["board51/rig/log"]] == [
+        time_ns for time_ns, _ in log_messages["board51/rig/log"]
     ]
 
 
@@ -149,9 +149,9 @@ def test_the_card_gives_the_size_of_ball_and_travel() -> None:
     assert "assumed" in repr(Scene("rig").take(pb.State(session=1), 1))
 
 
-def expect_path(shown: Shown, topic: str, fields: list[str]) -> None:
-    assert topic in shown, topic
-    message = shown[topic][0][1]
+def expect_path(log_messages: Messages, topic: str, fields: list[str]) -> None:
+    assert topic in log_messages, topic
+    message = log_messages[topic][0][1]
     for name in fields:
         assert name in message.DESCRIPTOR.fields_by_name, (topic, fields)
         message = getattr(message, name)
@@ -165,24 +165,24 @@ def foxglove_paths(made: Any) -> Iterator[tuple[str, list[str]]]:
         yield from ((panel[key], []) for key in ("topicToRender",) if key in panel)
 
 
-def test_every_path_of_the_foxglove_layout_is_in_the_log(shown: Shown) -> None:
+def test_every_path_of_the_foxglove_layout_is_in_the_log(log_messages: Messages) -> None:
     made = json.loads(layout("foxglove", "board51", "rig"))
 
     paths = list(foxglove_paths(made))
     for topic, fields in paths:
-        expect_path(shown, topic, fields)
+        expect_path(log_messages, topic, fields)
 
     assert {topic.rpartition("/")[2] for topic, _ in paths} >= {"log", "scene", "state", "divergence"}
     panels = re.findall(r'"([A-Za-z0-9]+!\w+)"', json.dumps(made["layout"]))
     assert set(panels) == set(made["configById"])
-    scene = shown["board51/rig/scene"][0][1]
+    scene = log_messages["board51/rig/scene"][0][1]
     assert {entity.frame_id for entity in scene.entities} == {made["configById"]["3D!scene"]["followTf"]}
 
 
-def test_every_curve_of_the_plotjuggler_layout_is_in_the_log(shown: Shown) -> None:
+def test_every_curve_of_the_plotjuggler_layout_is_in_the_log(log_messages: Messages) -> None:
     curves = [c.attrib["name"] for c in ElementTree.fromstring(layout("plotjuggler", "board51", "rig")).iter("curve")]
 
     assert len(curves) > 12
     for curve in curves:
-        topic = max((topic for topic in shown if curve.startswith(f"{topic}/")), key=len)
-        expect_path(shown, topic, curve.removeprefix(f"{topic}/").split("/"))
+        topic = max((topic for topic in log_messages if curve.startswith(f"{topic}/")), key=len)
+        expect_path(log_messages, topic, curve.removeprefix(f"{topic}/").split("/"))

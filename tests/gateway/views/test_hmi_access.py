@@ -159,18 +159,18 @@ def test_a_model_leaves_the_page_as_a_file_for_another_tool(server: Server) -> N
         assert page.http.get(f"/api/rig/export/{name}?to={to}").status_code == 404
 
 
-@pytest.mark.parametrize(("held_up_s", "done"), [(0.1, True), (30.0, False), (-30.0, False), (float("nan"), False)])
-def test_what_the_network_held_up_is_not_done_and_stop_is(server: Server, held_up_s: float, done: bool) -> None:
+@pytest.mark.parametrize(("held_up_s", "executed"), [(0.1, True), (30.0, False), (-30.0, False), (float("nan"), False)])
+def test_what_the_network_held_up_is_not_done_and_stop_is(server: Server, held_up_s: float, executed: bool) -> None:
     page, before = server.page("ben"), len(server.gateway.commands)
-    seen = {"x-board51-seen": f"{time.monotonic() - held_up_s:.3f}"}
+    headers = {"x-board51-seen": f"{time.monotonic() - held_up_s:.3f}"}
 
-    mark = page.post("/api/rig/command", {"mark": {"text": "here"}}, **seen)
-    stop = page.post(STOP, **seen)
+    mark = page.post("/api/rig/command", {"mark": {"text": "here"}}, **headers)
+    stop = page.post(STOP, **headers)
 
-    assert (mark.status_code == 200) is done
-    assert done or mark.json()["reason"] == "not-fresh"
+    assert (mark.status_code == 200) is executed
+    assert executed or mark.json()["reason"] == "not-fresh"
     assert stop.status_code == 200
-    assert len(server.gateway.commands) - before == 1 + done
+    assert len(server.gateway.commands) - before == 1 + executed
 
 
 def test_one_stop_stops_every_board_and_says_what_became_of_each(server: Server) -> None:
@@ -204,7 +204,7 @@ def test_a_stop_does_not_wait_for_commands_that_are_not_answered(server: Server)
         held = [pool.submit(page.post, "/api/rig/command", {"mark": {"text": "x"}}) for page in pages * 5]
         wait_for(lambda: len(server.gateway.unanswered) >= 5, "commands that wait")
         stopped = pages[0].post(STOP)
-        waiting = [one for one in held if not one.done()]
+        waiting = [future for future in held if not future.done()]
         server.gateway.answer = usual
         server.gateway.give_up()
 

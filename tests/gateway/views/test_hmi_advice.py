@@ -18,7 +18,7 @@ from tests.harness.gateway.bus_peers import feed_of, played_gateway
 ROOT = Path(__file__).parents[3]
 # The page itself, and whoever writes what its lists show: alarms, events, replies.
 ROOMS = ("views/hmi", "views/hmi/html", "views", "record", "record/tables", "link", "bus", "board", "client", "")
-SHOWN = (*(f"gateway/{room}" for room in ROOMS), "protocol/log", "twin/mirror")
+FOLDERS = (*(f"gateway/{room}" for room in ROOMS), "protocol/log", "twin/mirror")
 OF_THE_PAGE = "gateway/views/hmi"
 COMMAND = re.compile(r"\bboard51 ([a-z]+)\b([^`\n]*)")
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
@@ -48,27 +48,27 @@ def texts(path: Path) -> Iterator[str]:
 
 
 def sources() -> list[Path]:
-    found = {
+    paths = {
         path
-        for folder in SHOWN
+        for folder in FOLDERS
         for kind in ("*.py", "*.toml", "static/*.js", "static/*.html")
         for path in (ROOT / folder).glob(kind)
     }
-    return sorted(found)
+    return sorted(paths)
 
 
 def options_of(command: str) -> set[str]:
     """Every option of `board51 COMMAND` and of what is below it."""
     parser = argparse.ArgumentParser()
     importlib.import_module(board51.COMMANDS[command][0]).configure(parser)
-    found: set[str] = set()
+    options: set[str] = set()
     waiting = [parser]
     while waiting:
         for action in waiting.pop()._actions:
-            found.update(action.option_strings)
+            options.update(action.option_strings)
             if isinstance(action, argparse._SubParsersAction):
                 waiting.extend(action.choices.values())
-    return found
+    return options
 
 
 def advice() -> list[tuple[str, str]]:
@@ -79,10 +79,10 @@ def advice() -> list[tuple[str, str]]:
 
 
 def test_commands_and_options_that_are_advised_exist() -> None:
-    found = advice()
-    assert len([where for where, _ in found if where.startswith(OF_THE_PAGE)]) >= 3
+    passages = advice()
+    assert len([where for where, _ in passages if where.startswith(OF_THE_PAGE)]) >= 3
 
-    for where, text in found:
+    for where, text in passages:
         for command, rest in COMMAND.findall(text):
             assert command in board51.COMMANDS, f"{where}: {text!r}"
             unknown = set(OPTION.findall(rest)) - options_of(command)

@@ -148,8 +148,8 @@ def test_the_journal_says_what_became_of_an_alarm_and_by_whom_and_is_sifted(
 
     page.get_by_label("Filter the journal").fill("WRITTEN")
 
-    seen = page.locator('[data-live="journal"] .entry:visible .text')
-    expect(seen).to_have_text(["went", re.compile("acknowledged by "), "came: wrong"])
+    entries = page.locator('[data-live="journal"] .entry:visible .text')
+    expect(entries).to_have_text(["went", re.compile("acknowledged by "), "came: wrong"])
 
 
 def test_an_alarm_of_the_twin_reads_in_numbers_as_on_the_card_of_the_model_and_its_button_stays(
@@ -163,12 +163,12 @@ def test_an_alarm_of_the_twin_reads_in_numbers_as_on_the_card_of_the_model_and_i
     for current in (0.15, 0.25):
         DIVERGENCE.i_c_a.rolling_mean = DIVERGENCE.i_c_a.rolling_rmse = current
 
-        def told(text: str = f"{current} A") -> bool:
+        def is_displayed(text: str = f"{current} A") -> bool:
             gateway.send("twin/divergence", DIVERGENCE)
             return text in row.inner_text()
 
         for _ in range(200):
-            if told():
+            if is_displayed():
                 break
         else:
             pytest.fail(row.inner_text())

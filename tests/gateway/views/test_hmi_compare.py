@@ -47,13 +47,13 @@ def test_a_comparison_is_seen_by_all_made_by_an_engineer_and_refused_in_words(tm
         viewer, engineer = Page(port), Page(port)
         viewer.log_in("vic")
         engineer.log_in("ana")
-        seen, able = viewer.open("/model/rig"), engineer.open("/model/rig")
+        viewer_page, able = viewer.open("/model/rig"), engineer.open("/model/rig")
         report = viewer.http.get(f"/report-file/1/campaigns/{CAMPAIGN}/comparison/compare.html")
         listed = viewer.open("/logs")
         forbidden = viewer.post("/api/rig/job", request)
         refused = {
-            said: engineer.post("/api/rig/job", request | change).json()
-            for said, change in {
+            reason: engineer.post("/api/rig/job", request | change).json()
+            for reason, change in {
                 "no-model": {"second": ""},
                 "same-model": {"second": FIRST},
                 "no-campaign": {"campaign": "none"},
@@ -66,14 +66,14 @@ def test_a_comparison_is_seen_by_all_made_by_an_engineer_and_refused_in_words(tm
         (folder / "comparison" / "compare.json").write_text('{"answer": 3}')
         damaged = viewer.open("/model/rig")
 
-    assert "extended predicts better." in seen
-    assert "A note." in seen
+    assert "extended predicts better." in viewer_page
+    assert "A note." in viewer_page
     assert report.text == "<p>compared"
     assert f"campaign {CAMPAIGN}: comparison of models" in listed
     assert 'data-form="compare"' in able
-    assert 'data-form="compare"' not in seen
+    assert 'data-form="compare"' not in viewer_page
     assert (forbidden.status_code, forbidden.json()["reason"]) == (403, "not-allowed")
-    assert {said: answer["reason"] for said, answer in refused.items()} == {said: said for said in refused}
+    assert {reason: answer["reason"] for reason, answer in refused.items()} == {reason: reason for reason in refused}
     assert refused["no-model"]["text"] == "Choose one of the models in the list first."
     assert refused["same-model"]["text"] == "Both choices are the same model. Choose two different ones."
     assert "campaign.toml" in refused["bad-campaign"]["text"]

@@ -37,7 +37,7 @@ def test_margins_before_and_after_are_seen_by_all_and_loaded_by_an_engineer(tmp_
         viewer.log_in("vic")
         engineer.log_in("ana")
         state_parameters(gateway, viewer, [0.49, 1700.0, 17.7, -17600.0])
-        seen, able = viewer.open("/model/rig"), engineer.open("/model/rig")
+        viewer_page, able = viewer.open("/model/rig"), engineer.open("/model/rig")
         sent = json.loads(able.partition('data-command="')[2].partition('"')[0].replace("&#34;", '"'))
         forbidden = viewer.post("/api/rig/command", sent)
         fly = engineer.post("/api/rig/job", START | {"kind": "campaign", "fly": True}).json()
@@ -53,15 +53,15 @@ def test_margins_before_and_after_are_seen_by_all_and_loaded_by_an_engineer(tmp_
         (folder / "designs" / DESIGN / "analysis.json").write_text("{")
         failed = engineer.open("/model/rig")
 
-    assert "<td>phase margin, deg</td><td>unstable</td><td>24.5</td>" in seen
-    assert "<td>gain margin, factors</td><td>unstable</td><td>0.36 to no limit</td>" in seen
-    assert "\u25b2 small phase margin: 24 deg" in seen
-    assert ">K_A 0.297</div><table" in seen
-    assert ">without them: i_c = 0.4 A<" in seen
-    assert "The ball is lost in 3 of 100 draws." in seen
-    assert "<td>overshoot, %</td><td>25</td><td>10 (5 to 15)</td><td>12</td>" in seen
-    assert "<td>settling time, ms</td><td>\u2013</td><td>\u2013</td><td>\u2013</td>" in seen
-    assert ">Load on the board<" not in seen
+    assert "<td>phase margin, deg</td><td>unstable</td><td>24.5</td>" in viewer_page
+    assert "<td>gain margin, factors</td><td>unstable</td><td>0.36 to no limit</td>" in viewer_page
+    assert "\u25b2 small phase margin: 24 deg" in viewer_page
+    assert ">K_A 0.297</div><table" in viewer_page
+    assert ">without them: i_c = 0.4 A<" in viewer_page
+    assert "The ball is lost in 3 of 100 draws." in viewer_page
+    assert "<td>overshoot, %</td><td>25</td><td>10 (5 to 15)</td><td>12</td>" in viewer_page
+    assert "<td>settling time, ms</td><td>\u2013</td><td>\u2013</td><td>\u2013</td>" in viewer_page
+    assert ">Load on the board<" not in viewer_page
     assert sent["set_gains"]["gains"] == GAINS
     assert sent["set_gains"]["x_0_m"] == 2.85e-3
     assert forbidden.status_code == 403

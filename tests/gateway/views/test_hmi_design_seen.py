@@ -33,13 +33,13 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
         folder = rig.folder / "data" / "campaigns" / CAMPAIGN
         words = ("campaign", "run", str(folder), "--board", "rig", "--connect", rig.endpoint, "--quick")
         with Process(rig.folder, *words, "--experiment", "steps", "--experiment", "wide-steps-judge") as process:
-            assert process.wait() == 0, process.said.read_text()
+            assert process.wait() == 0, process.log_file.read_text()
         model = true_model()
         model.save(folder / "model.json")
         stronger = replace(model.parameters["K_c"], value=1.05 * model.parameters["K_c"].value)
-        kept = rig.folder / "data" / "models" / "rig"
-        kept.mkdir(parents=True)
-        replace(model, parameters={**model.parameters, "K_c": stronger}).save(kept / "20260101-000000.json")
+        model_folder = rig.folder / "data" / "models" / "rig"
+        model_folder.mkdir(parents=True)
+        replace(model, parameters={**model.parameters, "K_c": stronger}).save(model_folder / "20260101-000000.json")
         yield rig
 
 

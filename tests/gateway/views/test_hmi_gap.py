@@ -19,7 +19,7 @@ pytestmark = [
     pytest.mark.xdist_group("hmi-browser"),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
-SAID = '[data-live="stop-said"]'
+STOP_MESSAGE = '[data-live="stop-said"]'
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +56,8 @@ def page(browser: Browser, network: Network, bus: Bus) -> Iterator[Page]:
     context.close()
 
 
-def mode(bus: Bus, wanted: pb.Mode) -> None:
-    wait_for(lambda: bus.states()[-1].mode == wanted, pb.Mode.Name(wanted))
+def mode(bus: Bus, expected: pb.Mode) -> None:
+    wait_for(lambda: bus.states()[-1].mode == expected, pb.Mode.Name(expected))
 
 
 def close_loop(bus: Bus) -> None:
@@ -67,7 +67,7 @@ def close_loop(bus: Bus) -> None:
     mode(bus, pb.MODE_CLOSED_LOOP)
 
 
-def done(bus: Bus, what: str) -> int:
+def count_commands(bus: Bus, what: str) -> int:
     """By the page."""
     records = [record for record in bus.messages["rig/command/record"] if record.command.who != "test"]
     return sum(record.command.WhichOneof("what") == what for record in records)
@@ -121,9 +121,9 @@ def test_a_press_during_a_gap_is_answered_in_words_and_not_done_later(page: Page
     page.wait_for_selector("body[data-live=yes]")
     page.get_by_label("remark").fill("after the gap")
     page.get_by_text("Mark now").click()
-    wait_for(lambda: done(bus, "mark") == 1, "what was pressed after the gap")
+    wait_for(lambda: count_commands(bus, "mark") == 1, "what was pressed after the gap")
 
-    assert done(bus, "set_mode") == 0
+    assert count_commands(bus, "set_mode") == 0
 
 
 def test_every_stop_goes_out_at_once_beside_those_that_are_not_answered(page: Page, bus: Bus, network: Network) -> None:
@@ -139,10 +139,10 @@ def test_every_stop_goes_out_at_once_beside_those_that_are_not_answered(page: Pa
     mode(bus, pb.MODE_IDLE)
     for n in range(3, 9):  # more than a browser has connections
         page.keyboard.press("Escape")
-        wait_for(lambda n=n: done(bus, "stop") == n, f"STOP {n}")  # type: ignore[misc]  # mypy sees no type for a lambda default
+        wait_for(lambda n=n: count_commands(bus, "stop") == n, f"STOP {n}")  # type: ignore[misc]  # mypy sees no type for a lambda default
     network.release_answers()
-    expect(page.locator(SAID)).to_contain_text("STOP accepted")
-    expect(page.locator(SAID)).to_contain_text("coil off")
+    expect(page.locator(STOP_MESSAGE)).to_contain_text("STOP accepted")
+    expect(page.locator(STOP_MESSAGE)).to_contain_text("coil off")
 
 
 def test_the_banner_never_says_what_samples_contradict(page: Page, bus: Bus, network: Network) -> None:
@@ -150,20 +150,20 @@ def test_the_banner_never_says_what_samples_contradict(page: Page, bus: Bus, net
     network.hold_answers(b"/api/rig/stop")
     page.keyboard.press("Escape")
     mode(bus, pb.MODE_IDLE)
-    expect(page.locator(SAID)).to_contain_text("coil off")
+    expect(page.locator(STOP_MESSAGE)).to_contain_text("coil off")
     close_loop(bus)
-    expect(page.locator(SAID)).to_contain_text("ON AGAIN: closed loop")
+    expect(page.locator(STOP_MESSAGE)).to_contain_text("ON AGAIN: closed loop")
     network.release_answers()
 
-    expect(page.locator(SAID)).to_contain_text("STOP accepted")
-    text = page.locator(SAID).inner_text()
+    expect(page.locator(STOP_MESSAGE)).to_contain_text("STOP accepted")
+    text = page.locator(STOP_MESSAGE).inner_text()
 
     assert "coil off" not in text
     assert "ON AGAIN: closed loop" in text
-    expect(page.locator(SAID)).to_have_attribute("data-state", "bad")
+    expect(page.locator(STOP_MESSAGE)).to_have_attribute("data-state", "bad")
     page.keyboard.press("Escape")
-    expect(page.locator(SAID)).to_contain_text("coil off (sample of tick")
-    expect(page.locator(SAID)).to_have_attribute("data-state", "good")
+    expect(page.locator(STOP_MESSAGE)).to_contain_text("coil off (sample of tick")
+    expect(page.locator(STOP_MESSAGE)).to_have_attribute("data-state", "good")
     expect(page.locator('[data-live="mode"]')).to_contain_text("idle")
 
 
@@ -171,11 +171,11 @@ def test_a_stop_that_the_network_held_up_acts_when_it_arrives(page: Page, bus: B
     close_loop(bus)
     network.cut()
     page.keyboard.press("Escape")
-    expect(page.locator(SAID)).to_contain_text("NO ANSWER for 5 s")
+    expect(page.locator(STOP_MESSAGE)).to_contain_text("NO ANSWER for 5 s")
     network.restore()
 
     mode(bus, pb.MODE_IDLE)
-    expect(page.locator(SAID)).to_contain_text("coil off")
+    expect(page.locator(STOP_MESSAGE)).to_contain_text("coil off")
 
 
 def test_an_excitation_around_any_reference_is_ended_by_its_button(page: Page, bus: Bus) -> None:
@@ -186,7 +186,7 @@ def test_an_excitation_around_any_reference_is_ended_by_its_button(page: Page, b
 
     page.get_by_text("End it").click()
 
-    wait_for(lambda: done(bus, "excite") == 2, "its end")
+    wait_for(lambda: count_commands(bus, "excite") == 2, "its end")
     end = bus.messages["rig/command/record"][-1]
     assert (end.command.excite.shape, end.command.excite.on_reference) == (pb.SHAPE_NONE, True)
     assert end.reply.accepted, end.reply.text
@@ -194,7 +194,7 @@ def test_an_excitation_around_any_reference_is_ended_by_its_button(page: Page, b
 
 def test_what_was_refused_does_not_stand_as_if_in_force(page: Page, bus: Bus) -> None:
     close_loop(bus)
-    field, said = page.locator('[data-number="reference"]'), page.locator(".toast[data-state=bad]")
+    field, toast = page.locator('[data-number="reference"]'), page.locator(".toast[data-state=bad]")
     expect(page.locator('[data-live="reference-range"]')).to_contain_text(
         "0.3 to 5.199 mm"
     )  # 5.2 mm is between two counts
@@ -203,6 +203,6 @@ def test_what_was_refused_does_not_stand_as_if_in_force(page: Page, bus: Bus) ->
     field.fill("9")
     field.press("Enter")
 
-    expect(said).to_contain_text("x_ref = 9 mm is outside the gateway's limits, 0.3 mm .. 5.2 mm")
+    expect(toast).to_contain_text("x_ref = 9 mm is outside the gateway's limits, 0.3 mm .. 5.2 mm")
     expect(field).to_have_value(in_force)
     expect(page.locator('[data-live="reference-now"]')).to_have_text(f"in force: {in_force} mm")

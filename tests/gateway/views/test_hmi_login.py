@@ -88,15 +88,15 @@ def test_who_held_a_session_is_told_to_log_in_again(server: Server) -> None:
 
 def test_two_pages_on_one_host_keep_their_sessions_apart(server: Server) -> None:
     """As behind two ssh tunnels: browsers send cookies to all ports of a host."""
-    here, there = server.page("vic", again=True), Page(server.port)
-    there.http.headers["host"], there.base = "127.0.0.1:9999", "http://127.0.0.1:9999"
+    first_page, second_page = server.page("vic", again=True), Page(server.port)
+    second_page.http.headers["host"], second_page.base = "127.0.0.1:9999", "http://127.0.0.1:9999"
 
-    cookie = there.log_in("ben").headers["set-cookie"]
-    here.http.cookies.update(there.http.cookies)
+    cookie = second_page.log_in("ben").headers["set-cookie"]
+    first_page.http.cookies.update(second_page.http.cookies)
 
     assert cookie.startswith("board51_session_9999=")
-    assert here.http.get("/api/session").json()["name"] == "vic"
-    assert there.http.get("/api/session").json()["name"] == "ben"
+    assert first_page.http.get("/api/session").json()["name"] == "vic"
+    assert second_page.http.get("/api/session").json()["name"] == "ben"
 
 
 def test_a_login_from_another_origin_is_refused(server: Server) -> None:
@@ -173,34 +173,34 @@ def test_a_stale_session_can_do_nothing(server: Server, tmp_path: Path) -> None:
     assert len(server.gateway.commands) == before
 
 
-@pytest.mark.parametrize("asked", ["/rig/rig", "/logs", "/replay/rig", "/report/0/a b/report.html"])
-def test_a_login_leads_to_the_page_that_was_asked_for(server: Server, asked: str) -> None:
+@pytest.mark.parametrize("target", ["/rig/rig", "/logs", "/replay/rig", "/report/0/a b/report.html"])
+def test_a_login_leads_to_the_page_that_was_asked_for(server: Server, target: str) -> None:
     page = server.page()
-    form = page.http.get(asked, headers={"accept": "text/html"}).headers["location"]
-    shown = html.unescape(page.http.get(form).text.partition('name="next" value="')[2].partition('"')[0])
+    form = page.http.get(target, headers={"accept": "text/html"}).headers["location"]
+    next_path = html.unescape(page.http.get(form).text.partition('name="next" value="')[2].partition('"')[0])
 
     wrong = page.http.post(
-        "/login", data={"name": "vic", "password": "x", "next": shown}, headers={"origin": page.base}
+        "/login", data={"name": "vic", "password": "x", "next": next_path}, headers={"origin": page.base}
     )
     right = page.http.post(
-        "/login", data={"name": "vic", "password": PASSWORDS["vic"], "next": shown}, headers={"origin": page.base}
+        "/login", data={"name": "vic", "password": PASSWORDS["vic"], "next": next_path}, headers={"origin": page.base}
     )
 
-    assert f'value="{asked}"' in wrong.text, "a typo does not lose it"
-    assert (right.status_code, unquote(right.headers["location"])) == (303, asked)
+    assert f'value="{target}"' in wrong.text, "a typo does not lose it"
+    assert (right.status_code, unquote(right.headers["location"])) == (303, target)
 
 
 @pytest.mark.parametrize(
-    "asked",
+    "target",
     ["//evil.example", "https://evil.example", "/\\evil.example", "\\\\evil.example", "/\t/evil.example",
      "evil.example", "javascript:alert(1)", "", "/\n/evil.example", " //evil.example", "/login"],
 )  # fmt: skip
-def test_a_login_leads_to_no_other_server(server: Server, asked: str) -> None:
+def test_a_login_leads_to_no_other_server(server: Server, target: str) -> None:
     page = server.page()
-    assert 'name="next" value="/"' in page.http.get("/login", params={"next": asked}).text
+    assert 'name="next" value="/"' in page.http.get("/login", params={"next": target}).text
 
     answer = page.http.post(
-        "/login", data={"name": "vic", "password": PASSWORDS["vic"], "next": asked}, headers={"origin": page.base}
+        "/login", data={"name": "vic", "password": PASSWORDS["vic"], "next": target}, headers={"origin": page.base}
     )
 
     assert (answer.status_code, answer.headers["location"]) == (303, "/")

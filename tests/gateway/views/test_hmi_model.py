@@ -68,12 +68,12 @@ def test_campaigns_belong_to_the_rig_that_their_folder_names(tmp_path: Path) -> 
     (tmp_path / "rig-20260909-000000").symlink_to(tmp_path / CAMPAIGN)
     (tmp_path / "notes").mkdir()
 
-    (found,) = campaigns_of(tmp_path, "rig")
+    (entry,) = campaigns_of(tmp_path, "rig")
 
-    assert (found.name, found.made, found.recordings) == (CAMPAIGN, "2026-01-02 03:04", 1)
-    assert found.toml == tmp_path / CAMPAIGN / "campaign.toml"
+    assert (entry.name, entry.made, entry.recordings) == (CAMPAIGN, "2026-01-02 03:04", 1)
+    assert entry.toml == tmp_path / CAMPAIGN / "campaign.toml"
     assert board_of("rig-2-20260203-040506") == "rig-2"
-    assert find_campaign(tmp_path, "rig", "") == found
+    assert find_campaign(tmp_path, "rig", "") == entry
     assert find_campaign(tmp_path, "rig", f"../{tmp_path.name}/{CAMPAIGN}") is None
     assert campaigns_of(tmp_path / "absent", "rig") == []
 
@@ -100,8 +100,8 @@ def test_the_model_in_use_is_marked_and_the_one_that_it_replaces_stays_in_the_li
     keep(tmp_path, started, "rig")
     after = models_of(tmp_path, "rig", campaigns, pb.TwinModel(model_json=json.dumps(MODEL, indent=3)))
 
-    assert [(one.kind, one.in_use) for one in before] == [("identified model, campaign of 2026-01-02 03:04", False)]
-    assert [one.in_use for one in after] == [True, False]
+    assert [(item.kind, item.in_use) for item in before] == [("identified model, campaign of 2026-01-02 03:04", False)]
+    assert [item.in_use for item in after] == [True, False]
     assert (after[0].summary, after[1].summary) == ("K_A 0.297; with quadratic-drag", "K_A 0.297")
     assert after[1].was_replaced
     (root / CAMPAIGN / "model.json").write_text("{")
@@ -116,15 +116,15 @@ def test_a_campaign_that_is_left_unfinished_stands_behind_finished_ones(tmp_path
     (newer / "run.json").write_text('{"left": ["steps"], "quick": true}')
     (investigation / "investigation.json").write_text('{"ended": null}')
 
-    found = campaigns_of(tmp_path, "rig")
+    campaigns = campaigns_of(tmp_path, "rig")
 
-    assert [(one.left, one.quick, one.interrupted) for one in found] == [
+    assert [(entry.left, entry.quick, entry.interrupted) for entry in campaigns] == [
         ((), False, False), ((), False, True), (("steps",), True, True), ((), False, False),
     ]  # fmt: skip
-    assert choose(found, "") is found[3]
-    assert choose(found[:3], "") is found[1], "where none is finished, the newest with recordings"
-    assert choose(found[:1], "") is None
-    assert choose(found, found[0].name) is found[0]
+    assert choose(campaigns, "") is campaigns[3]
+    assert choose(campaigns[:3], "") is campaigns[1], "where none is finished, the newest with recordings"
+    assert choose(campaigns[:1], "") is None
+    assert choose(campaigns, campaigns[0].name) is campaigns[0]
     (newer / "run.json").write_text("[")
     assert not campaigns_of(tmp_path, "rig")[2].interrupted, "a damaged file is none"
 
@@ -132,12 +132,12 @@ def test_a_campaign_that_is_left_unfinished_stands_behind_finished_ones(tmp_path
 def test_an_answer_is_read_and_experiments_that_no_menu_has_are_left_out(tmp_path: Path) -> None:
     path = campaign(tmp_path) / "diagnosis" / "diagnosis.json"
 
-    found = load_diagnosis(path)
+    diagnosis = load_diagnosis(path)
 
-    assert found.causes == found.suspects
-    assert list(found.causes[0].experiments) == ["chirp", "blocked-ball"]
-    assert list(found.causes[0].confounders) == ["force-exponent"]
-    assert found.ahead[0].after == (6e-6, 6e-6, 6e-6)
+    assert diagnosis.causes == diagnosis.suspects
+    assert list(diagnosis.causes[0].experiments) == ["chirp", "blocked-ball"]
+    assert list(diagnosis.causes[0].confounders) == ["force-exponent"]
+    assert diagnosis.ahead[0].after == (6e-6, 6e-6, 6e-6)
     for damaged in ("{}", "[]", '{"verdict": 1, "sentence": 2, "causes": [3]}'):
         path.write_text(damaged)
         with pytest.raises(DataError, match=r"diagnosis\.json"):
@@ -189,13 +189,13 @@ def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path
         viewer, engineer = Page(port), Page(port)
         viewer.log_in("vic")
         engineer.log_in("ana")
-        seen, able = viewer.open("/model/rig"), engineer.open("/model/rig")
+        viewer_page, able = viewer.open("/model/rig"), engineer.open("/model/rig")
         rig = viewer.open("/rig/rig")
         posts = {
             name: viewer.post("/api/rig/job", {"kind": name, "act": "start", "campaign": CAMPAIGN, "model": "x"})
             for name in ("campaign", "identify", "diagnose", "bode")
         }
-        asked = {
+        answers = {
             wrong: engineer.post("/api/rig/job", {"kind": "identify", "act": "start", "campaign": wrong}).json()
             for wrong in ("../" + CAMPAIGN, "other-20260102-030405", "none")
         }
@@ -214,14 +214,14 @@ def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path
         unknown = engineer.post("/api/rig/job", {"kind": "hand-over", "act": "start", "model": "../x"}).json()
 
     for words in ("the coil sits 0.4 mm higher", "force-exponent", "confidence 0.61", "hold the ball at six heights"):
-        assert words in seen, "everybody may read"
-    assert "data-job" not in seen
+        assert words in viewer_page, "everybody may read"
+    assert "data-job" not in viewer_page
     assert "Next experiment: chirp" in able
     assert "Clamp the ball" in able, "what a person must do before"
     assert f'href="/report/1/campaigns/{CAMPAIGN}/diagnosis/report.html"' in rig
     assert "other-2026" not in rig, "a report of another rig"
     assert {name: answer.status_code for name, answer in posts.items()} == dict.fromkeys(posts, 403)
-    assert {answer["reason"] for answer in asked.values()} == {"no-campaign"}
+    assert {answer["reason"] for answer in answers.values()} == {"no-campaign"}
     assert (nowhere["reason"], not_identified["reason"]) == ("no-campaign", "no-model")
     assert unclamped["reason"] == "person-needed"
     assert (finished["reason"], unnamed["reason"], forbidden.status_code) == ("no-campaign", "no-campaign", 403)
@@ -248,7 +248,7 @@ def test_without_a_campaign_the_last_flight_can_be_diagnosed_and_nothing_beside_
 @pytest.mark.slow
 def test_a_campaign_is_renamed_and_deleted_by_an_engineer_alone(tmp_path: Path) -> None:
     made = campaign(tmp_path / "data" / "campaigns")
-    beside = campaign(tmp_path / "data" / "campaigns", "other-20260102-030405")
+    other_campaign = campaign(tmp_path / "data" / "campaigns", "other-20260102-030405")
     with served(tmp_path, MODEL) as (_, port):
         viewer, engineer = Page(port), Page(port)
         viewer.log_in("vic")
@@ -257,7 +257,7 @@ def test_a_campaign_is_renamed_and_deleted_by_an_engineer_alone(tmp_path: Path) 
         refused = viewer.post("/api/rig/campaign", rename), viewer.post("/api/rig/campaign", rename | {"act": "delete"})
         named = engineer.post("/api/rig/campaign", rename).json()
         long = engineer.post("/api/rig/campaign", rename | {"title": "x" * 61}).json()
-        shown = viewer.open("/model/rig")
+        page_text = viewer.open("/model/rig")
         wrong = [
             engineer.post("/api/rig/campaign", {"act": "delete", "name": name}).json()["reason"]
             for name in ("", "other-20260102-030405", f"../campaigns/{CAMPAIGN}")
@@ -268,13 +268,13 @@ def test_a_campaign_is_renamed_and_deleted_by_an_engineer_alone(tmp_path: Path) 
 
     assert [answer.status_code for answer in refused] == [403, 403]
     assert named["text"] == "The campaign is called a heavy <b>ball</b>."
-    assert "a heavy &lt;b&gt;ball&lt;/b&gt;" in shown
+    assert "a heavy &lt;b&gt;ball&lt;/b&gt;" in page_text
     assert (long["accepted"], long["reason"]) == (False, "bad-name")
     assert wrong == ["no-campaign"] * 3
     assert stood
     assert (deleted["accepted"], again["reason"]) == (True, "no-campaign")
     assert not made.exists()
-    assert beside.is_dir()
+    assert other_campaign.is_dir()
 
 
 def test_parameters_have_the_digits_that_their_interval_bears() -> None:
@@ -304,7 +304,7 @@ def test_a_diagnosis_that_found_nothing_better_offers_no_model(tmp_path: Path) -
 
     def offered(provenance: dict[str, str], causes: object) -> bool:
         file.write_text(json.dumps({**MODEL, "causes": causes, "provenance": provenance}))
-        return any(one.path == file for one in models_of(tmp_path, "rig", campaigns, None))
+        return any(item.path == file for item in models_of(tmp_path, "rig", campaigns, None))
 
     assert not offered({"extends": "reference"}, [])
     assert offered({"extends": "reference"}, MODEL["causes"])  # a curve of what is left

@@ -84,7 +84,7 @@ def test_a_file_of_gains_becomes_a_command_and_a_table() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"law": "lqr"}, "law is 'lqr'"),
         ({"gains": [1, 2]}, "gains is"),
@@ -96,8 +96,8 @@ def test_a_file_of_gains_becomes_a_command_and_a_table() -> None:
         ({"stable": False}, "unstable"),
     ],
 )
-def test_a_wrong_file_of_gains_is_refused_by_name(change: dict[str, object], said: str) -> None:
-    with pytest.raises(DataError, match=said):
+def test_a_wrong_file_of_gains_is_refused_by_name(change: dict[str, object], message: str) -> None:
+    with pytest.raises(DataError, match=message):
         parse_gains(json.dumps(FILE | change).encode(), BOARD)
 
 
@@ -110,29 +110,29 @@ def test_what_is_no_file_of_gains_is_told_so(data: bytes) -> None:
 
 
 def test_a_library_shows_its_own_files_newest_first_and_nothing_else(tmp_path: Path) -> None:
-    inside, outside = tmp_path / "logs", tmp_path / "outside"
-    for folder in (inside / "deep", outside):
+    log_folder, outside = tmp_path / "logs", tmp_path / "outside"
+    for folder in (log_folder / "deep", outside):
         folder.mkdir(parents=True)
     for path in (
-        inside / "a.mcap",
-        inside / "deep" / "b.mcap",
-        inside / "c.txt",
-        inside / ".d.mcap",
+        log_folder / "a.mcap",
+        log_folder / "deep" / "b.mcap",
+        log_folder / "c.txt",
+        log_folder / ".d.mcap",
         outside / "e.mcap",
     ):
         path.write_bytes(b"x")
-    (inside / "f.mcap").symlink_to(outside / "e.mcap")
-    (inside / "g.mcap").symlink_to(inside / "nowhere.mcap")
-    (inside / "a.mcap").touch()
-    library = Library({"logs": inside, "none": tmp_path / "absent"}, "*.mcap")
+    (log_folder / "f.mcap").symlink_to(outside / "e.mcap")
+    (log_folder / "g.mcap").symlink_to(log_folder / "nowhere.mcap")
+    (log_folder / "a.mcap").touch()
+    library = Library({"logs": log_folder, "none": tmp_path / "absent"}, "*.mcap")
 
     assert {entry.name for entry in library.entries()} == {"logs/a.mcap", "logs/deep/b.mcap"}
     assert library.entries()[0].name == "logs/a.mcap"
     assert library.find("logs/../outside/e.mcap") is None
-    assert library.find(str(inside / "a.mcap")) is None
-    found = library.find("logs/deep/b.mcap")
-    assert found is not None
-    assert found.path == inside / "deep" / "b.mcap"
+    assert library.find(str(log_folder / "a.mcap")) is None
+    entry = library.find("logs/deep/b.mcap")
+    assert entry is not None
+    assert entry.path == log_folder / "deep" / "b.mcap"
 
 
 @pytest.mark.slow
@@ -237,10 +237,10 @@ def test_bad_frames_are_frames_and_what_else_is_odd_has_its_own_name() -> None:
         status = pb.Status(link="streaming", bad_frames={"crc": 2, "length": 1, "stray-answer": 7, "duplicate": 0})
         gateway.send("status", status)
         board = wait_for(lambda: feed.board("rig"), "the board")
-        shown = rest(board)["status"]
+        rest_status = rest(board)["status"]
 
-    assert shown["bad_frames"] == 3
-    assert shown["unexpected"] == {"stray-answer": 7}
+    assert rest_status["bad_frames"] == 3
+    assert rest_status["unexpected"] == {"stray-answer": 7}
 
 
 def test_text_in_a_page_is_no_html() -> None:
@@ -255,7 +255,7 @@ def test_a_title_becomes_a_part_of_a_file_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--listen", "8051"], "is not an address"),
         (["--listen", "127.0.0.1:99999"], "is not an address"),
@@ -268,14 +268,14 @@ def test_a_title_becomes_a_part_of_a_file_name() -> None:
     ],
 )
 def test_wrong_options_are_one_clear_line(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
 
     assert board51.main(["hmi", *words]) == 2
 
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert error.count("\n") == 1
 
 

@@ -47,7 +47,7 @@ def test_a_card_that_nobody_stated_and_one_that_has_not_come_are_told_apart() ->
 
 
 @pytest.mark.parametrize(
-    ("changed", "field", "said", "error"),
+    ("changed", "field", "message", "error"),
     [
         ({"mass_g": "0.008"}, "mass_g", "0.008 g is outside 0.1 g .. 2 kg. You may mean 8 g", True),
         ({"mass_g": "8,28"}, "mass_g", "a steel ball of 17 mm weighs 20.19 g", False),
@@ -61,10 +61,10 @@ def test_a_card_that_nobody_stated_and_one_that_has_not_come_are_told_apart() ->
         ({"name": "r" * 65}, "name", "up to 64 characters", True),
     ],
 )
-def test_what_is_wrong_stands_beside_its_field(changed: dict[str, str], field: str, said: str, error: bool) -> None:
+def test_what_is_wrong_stands_beside_its_field(changed: dict[str, str], field: str, message: str, error: bool) -> None:
     text, is_error = answers(TYPED | changed)[field]
 
-    assert said in text
+    assert message in text
     assert is_error is error
 
 
@@ -90,7 +90,7 @@ def test_everybody_sees_the_card_and_an_engineer_states_it(tmp_path: Path) -> No
         viewer.log_in("vic")
         engineer.log_in("ana")
         nobody = send_card(gateway, viewer, "nobody stated the plant", pb.PlantCard())
-        seen = send_card(gateway, viewer, "Stated by ana", pb.PlantCard(plant=HEAVY, who="ana", stated_ns=10**18))
+        page_text = send_card(gateway, viewer, "Stated by ana", pb.PlantCard(plant=HEAVY, who="ana", stated_ns=10**18))
         able = engineer.open("/model/rig")
         gateway.commands.clear()
         state = {"set_plant": judged(TYPED, None)["command"]["set_plant"]}
@@ -98,8 +98,8 @@ def test_everybody_sees_the_card_and_an_engineer_states_it(tmp_path: Path) -> No
         accepted = engineer.post("/api/rig/command", state)
 
     assert "8.28 g, 5.7 mm" in nobody
-    assert "<td>mass of the ball, g</td><td>20</td>" in seen
-    assert "data-plant" not in seen
+    assert "<td>mass of the ball, g</td><td>20</td>" in page_text
+    assert "data-plant" not in page_text
     assert "data-plant" in able
     assert refused.status_code == 403
     assert accepted.json()["accepted"]

@@ -142,9 +142,9 @@ def test_another_ball_is_identified_by_buttons_alone_once_its_plant_is_stated(li
     parameters = json.loads(made.read_text())["parameters"]
     # 4 standard errors: one good campaign in 8000 would fail for one of the two.
     for name, true in TRUTH.items():
-        found = parameters[name]
-        assert abs(found["value"] - true) < 4 * found["std"], (name, found)
-        assert "assumed" not in found["method"]
+        estimate = parameters[name]
+        assert abs(estimate["value"] - true) < 4 * estimate["std"], (name, estimate)
+        assert "assumed" not in estimate["method"]
     expect(page.locator(".results").get_by_text("K_c").first).not_to_contain_text("(plant assumed)")
     rig.gateway.end()
     rig.start_gateway()

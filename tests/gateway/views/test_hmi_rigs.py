@@ -67,12 +67,12 @@ def test_a_replay_beside_a_live_rig_is_no_rig_and_nothing_for_stop(rig: Rig, bus
     with Process(rig.folder, "replay", str(log), "--connect", rig.endpoint, "--speed", "50"):
         wait_for(lambda: len(bus.states("demo")) > 100, "the replay on the bus")
         with visitor.live("/live") as live:
-            shown = [board["name"] for _ in range(5) for board in frame(live)["boards"]]
+            board_names = [board["name"] for _ in range(5) for board in frame(live)["boards"]]
     stop = visitor.post("/api/*/stop")  # what the replay left must not be asked either
     subscriber.undeclare()
 
     assert {bytes(mark) if mark is not None else b"" for mark in marks} == {b"", b"replayed"}
-    assert set(shown) == {"rig"}
+    assert set(board_names) == {"rig"}
     assert (stop.status_code, list(stop.json()["boards"])) == (200, ["rig"])
 
 

@@ -26,7 +26,7 @@ pytestmark = [
     pytest.mark.xdist_group("hmi-seen"),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
-SAID = '[data-live="stop-said"]'
+STOP_MESSAGE = '[data-live="stop-said"]'
 REPORT = "<!doctype html><body style='margin:0'><h1>air-gap-offset</h1><p style='height:2000px'>long</p>"
 
 
@@ -53,7 +53,7 @@ def page(browser: Browser, site: Site) -> Iterator[Page]:
     site.mode = {"mode": pb.MODE_CLOSED_LOOP}
     broken: list[str] = []
     with open_tab(browser) as page:
-        page.on("console", lambda said: broken.append(said.text) if "Content Security" in said.text else None)
+        page.on("console", lambda entry: broken.append(entry.text) if "Content Security" in entry.text else None)
         yield page
     assert broken == []
 
@@ -62,7 +62,7 @@ def page(browser: Browser, site: Site) -> Iterator[Page]:
 def test_every_page_has_stop_for_its_rig_or_for_all(page: Page, site: Site, path: str) -> None:
     """By the key, and again by the button."""
     stop_turns_the_coil_off(site)
-    wanted = {"rig"} if path == "/rig/rig" else {"rig", "two"}
+    expected = {"rig"} if path == "/rig/rig" else {"rig", "two"}
     with site.live():
         page.goto(f"{site.url}{path}")
         wait_for(lambda: page.evaluate("document.querySelector('button.stop') !== null"), "STOP")
@@ -73,13 +73,13 @@ def test_every_page_has_stop_for_its_rig_or_for_all(page: Page, site: Site, path
             )
 
         page.keyboard.press("Escape")
-        wait_for(lambda: set(site.stopped()) == wanted, f"STOP of {wanted}, not {site.stopped()}")
-        expect(page.locator(SAID)).to_contain_text("STOP accepted")
-        expect(page.locator(SAID)).to_contain_text("coil off (sample of tick")
+        wait_for(lambda: set(site.stopped()) == expected, f"STOP of {expected}, not {site.stopped()}")
+        expect(page.locator(STOP_MESSAGE)).to_contain_text("STOP accepted")
+        expect(page.locator(STOP_MESSAGE)).to_contain_text("coil off (sample of tick")
 
         site.gateway.commands.clear()
         page.click("button.stop")
-        wait_for(lambda: set(site.stopped()) == wanted, f"STOP of {wanted}, not {site.stopped()}")
+        wait_for(lambda: set(site.stopped()) == expected, f"STOP of {expected}, not {site.stopped()}")
 
 
 def test_a_page_says_what_its_stop_stops(page: Page, site: Site) -> None:
@@ -126,14 +126,14 @@ def test_the_banner_waits_for_a_sample_and_believes_no_answer(page: Page, site: 
         page.goto(f"{site.url}/rig/rig")
         page.wait_for_selector("body[data-live=yes]")
         page.keyboard.press("Escape")
-        expect(page.locator(SAID)).to_contain_text("accepted at tick 1000000000, waiting for its sample")
+        expect(page.locator(STOP_MESSAGE)).to_contain_text("accepted at tick 1000000000, waiting for its sample")
 
         site.gateway.answer = lambda _, command: pb.CommandReply(id=command.id, accepted=True, tick=1)
         page.keyboard.press("Escape")
 
-        expect(page.locator(SAID)).to_contain_text("COIL ON: its samples show mode closed loop")
-        expect(page.locator(SAID)).to_have_attribute("data-state", "bad")
-    expect(page.locator(SAID)).to_contain_text("it is unknown whether the coil is")
+        expect(page.locator(STOP_MESSAGE)).to_contain_text("COIL ON: its samples show mode closed loop")
+        expect(page.locator(STOP_MESSAGE)).to_have_attribute("data-state", "bad")
+    expect(page.locator(STOP_MESSAGE)).to_contain_text("it is unknown whether the coil is")
 
 
 def test_a_coil_that_the_board_cannot_switch_off_is_never_called_off(page: Page, site: Site) -> None:
@@ -148,8 +148,8 @@ def test_a_coil_that_the_board_cannot_switch_off_is_never_called_off(page: Page,
 
         page.keyboard.press("Escape")
 
-        expect(page.locator(SAID)).to_contain_text("THE COIL MAY BE ON: cut its supply")
-        expect(page.locator(SAID)).to_have_attribute("data-state", "bad")
+        expect(page.locator(STOP_MESSAGE)).to_contain_text("THE COIL MAY BE ON: cut its supply")
+        expect(page.locator(STOP_MESSAGE)).to_have_attribute("data-state", "bad")
     with ticking(site.gateway, "rig", "two"):  # no fault any more, for the tests behind this one
         expect(page.locator('[data-live="mode"]')).not_to_contain_text("MAY BE ON")
 
@@ -227,13 +227,13 @@ def test_what_became_of_a_stop_is_told_for_each_rig(page: Page, site: Site) -> N
         page.goto(site.url)
         page.wait_for_selector(".board-card >> nth=1")
         page.keyboard.press("Escape")
-        banner = page.locator(SAID)
+        banner = page.locator(STOP_MESSAGE)
         expect(banner).to_contain_text("STOP REFUSED for rig, accepted for the others")
         expect(banner).to_contain_text("two: coil off")
         expect(banner).to_contain_text("But the coil is off (sample")
         assert "by hand" not in banner.inner_text()
-    expect(page.locator(SAID)).to_contain_text("Switch rig off by hand")
-    assert "Switch two" not in page.locator(SAID).inner_text()
+    expect(page.locator(STOP_MESSAGE)).to_contain_text("Switch rig off by hand")
+    assert "Switch two" not in page.locator(STOP_MESSAGE).inner_text()
 
 
 def test_nothing_that_comes_moves_the_controls(page: Page, site: Site) -> None:
@@ -252,7 +252,7 @@ def test_nothing_that_comes_moves_the_controls(page: Page, site: Site) -> None:
         page.click('[data-mode="idle"]')
         expect(page.locator(".toast[data-state=bad]")).to_be_visible()
         page.keyboard.press("Escape")
-        expect(page.locator(SAID)).to_contain_text("REFUSED")
+        expect(page.locator(STOP_MESSAGE)).to_contain_text("REFUSED")
         assert page.evaluate(PLACES) == before
     page.wait_for_selector("body[data-live=no]")
     expect(page.locator('[data-live="log"]')).to_contain_text("last known: ")
@@ -268,7 +268,7 @@ def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_axe_finds_nothing_serious_on_any_page(page: Page, site: Site, axe: str) -> None:
-    found: list[object] = []
+    violations: list[object] = []
     with site.live():
         raise_alarms(site, 2)
         for path in ("/", "/rig/rig", "/model/rig", "/logs", "/replay/", "/api/v1/"):
@@ -279,10 +279,10 @@ def test_axe_finds_nothing_serious_on_any_page(page: Page, site: Site, axe: str)
             result = page.evaluate("axe.run()")
             page.emulate_media(color_scheme="dark")
             dark = page.evaluate("axe.run({runOnly: ['color-contrast']})")  # nothing else depends on it
-            found += [
-                (path, one["id"], one["help"], [node["html"][:150] for node in one["nodes"][:3]])
-                for one in (*result["violations"], *dark["violations"])
-                if one["impact"] in ("serious", "critical")
+            violations += [
+                (path, issue["id"], issue["help"], [node["html"][:150] for node in issue["nodes"][:3]])
+                for issue in (*result["violations"], *dark["violations"])
+                if issue["impact"] in ("serious", "critical")
             ]
             assert len(result["passes"]) > 10, "it has looked"
             assert dark["passes"], "it has looked"
@@ -291,8 +291,8 @@ def test_axe_finds_nothing_serious_on_any_page(page: Page, site: Site, axe: str)
         page.evaluate("document.body.style.cssText = 'color: #444 !important'")
         nameless = page.evaluate("axe.run()")["violations"]
 
-    assert found == []
-    assert {"label", "color-contrast"} <= {one["id"] for one in nameless}, "it would find both"
+    assert violations == []
+    assert {"label", "color-contrast"} <= {issue["id"] for issue in nameless}, "it would find both"
 
 
 def test_dark_is_kept_once_it_was_chosen(page: Page, site: Site) -> None:
@@ -317,9 +317,9 @@ def test_every_text_can_be_read(page: Page, site: Site, scheme: Literal["light",
     low: list[object] = []
 
     def look(where: str) -> None:
-        found = page.evaluate(CONTRASTS)
-        assert len(found) > 5, where
-        low.extend([where, *one] for one in found if one[0] < 4.5)
+        contrasts = page.evaluate(CONTRASTS)
+        assert len(contrasts) > 5, where
+        low.extend([where, *contrast] for contrast in contrasts if contrast[0] < 4.5)
 
     with site.live():
         raise_alarms(site, 2)
@@ -329,13 +329,13 @@ def test_every_text_can_be_read(page: Page, site: Site, scheme: Literal["light",
         page.click('[data-mode="idle"]')
         expect(page.locator(".toast[data-state=bad] button")).to_be_visible()
         page.keyboard.press("Escape")
-        expect(page.locator(SAID)).to_contain_text("REFUSED")
+        expect(page.locator(STOP_MESSAGE)).to_contain_text("REFUSED")
         look("refused")
         stop_turns_the_coil_off(site)
         page.keyboard.press("Escape")
         page.click('[data-mode="idle"]')
         expect(page.locator(".toast[data-state=good]")).to_be_visible()
-        expect(page.locator(SAID)).to_have_attribute("data-state", "good")
+        expect(page.locator(STOP_MESSAGE)).to_have_attribute("data-state", "good")
         look("accepted")
         for path in ("/", "/model/rig", "/logs", "/replay/", "/replay/rig", "/api/v1/"):
             page.goto(f"{site.url}{path}")

@@ -52,11 +52,11 @@ def peak(values: FloatArray) -> tuple[float, float]:
     phase=st.floats(0.0, 6.3),
 )
 def test_a_sine_shows_its_amplitude_at_its_frequency(amplitude: float, frequency_hz: float, phase: float) -> None:
-    shown_hz, shown = peak(sine(amplitude, frequency_hz, phase))
+    peak_hz, peak_height = peak(sine(amplitude, frequency_hz, phase))
 
     # Half a step of the frequencies (1.5 % of the main lobe's height at most), and what the sine's own image leaves.
-    assert shown == pytest.approx(amplitude, rel=0.02)
-    assert shown_hz == pytest.approx(frequency_hz, rel=0.006, abs=0.03)
+    assert peak_height == pytest.approx(amplitude, rel=0.02)
+    assert peak_hz == pytest.approx(frequency_hz, rel=0.006, abs=0.03)
 
 
 @given(frequency_hz=st.floats(1.0, 50.0), share=st.floats(0.0, 0.02), seed=st.integers(0, 999))
@@ -65,10 +65,10 @@ def test_few_lost_samples_leave_the_sine_as_it_is(frequency_hz: float, share: fl
     values = sine(1.0, frequency_hz, 0.0)
     values[np.random.default_rng(seed).choice(COUNT, int(share * COUNT), replace=False)] = np.nan
 
-    _, shown = peak(values)
+    _, peak_height = peak(values)
 
     # Of 2 % of the samples up to (pi f T_s)^2 / 2 is lost: 5 % of each at 50 Hz; runs of several lose more.
-    assert shown == pytest.approx(1.0, rel=0.03)
+    assert peak_height == pytest.approx(1.0, rel=0.03)
 
 
 def test_white_noise_has_a_flat_floor_at_the_height_that_it_must_have() -> None:
@@ -86,20 +86,20 @@ def test_white_noise_has_a_flat_floor_at_the_height_that_it_must_have() -> None:
 def test_bands_keep_the_highest_line_and_all_frequencies_rise() -> None:
     frequency_hz, amplitude = amplitudes(sine(1.0, 123.4, 0.0), STEP_S)
 
-    shown_hz, shown = in_bands(frequency_hz, amplitude)
+    band_hz, band_amplitude = in_bands(frequency_hz, amplitude)
 
-    assert shown.max() == amplitude.max()
-    assert len(shown) < 600
-    assert np.all(np.diff(shown_hz) > 0.0)
-    assert shown_hz[0] == pytest.approx(0.2)
-    assert shown_hz[-1] == pytest.approx(250.0, rel=0.01)
+    assert band_amplitude.max() == amplitude.max()
+    assert len(band_amplitude) < 600
+    assert np.all(np.diff(band_hz) > 0.0)
+    assert band_hz[0] == pytest.approx(0.2)
+    assert band_hz[-1] == pytest.approx(250.0, rel=0.01)
 
 
 def test_samples_are_put_where_their_times_say() -> None:
-    found = even(np.array([0.002, 0.004, 0.0101]), np.array([1.0, 2.0, 3.0]), end_s=0.01, step_s=2e-3, count=4)
+    resampled = even(np.array([0.002, 0.004, 0.0101]), np.array([1.0, 2.0, 3.0]), end_s=0.01, step_s=2e-3, count=4)
 
-    np.testing.assert_array_equal(found, [2.0, np.nan, np.nan, 3.0])
-    assert missing(found) == 0.5
+    np.testing.assert_array_equal(resampled, [2.0, np.nan, np.nan, 3.0])
+    assert missing(resampled) == 0.5
 
 
 def test_another_clock_begins_anew() -> None:
@@ -214,7 +214,7 @@ def test_an_excitation_of_5_hz_is_a_peak_at_5_hz(browser: Browser, tmp_path: Pat
 
         page.locator(".spectrum summary").click()
         expect(page.locator(".spectrum .u-legend")).to_contain_text("10 s")
-        shown = page.locator('[data-live="spectrum-highest"]').inner_text()
+        peak_text = page.locator('[data-live="spectrum-highest"]').inner_text()
         ink = page.evaluate(INK)
         with lines[0].expect_event("close"):
             page.locator(".spectrum summary").click()
@@ -222,8 +222,8 @@ def test_an_excitation_of_5_hz_is_a_peak_at_5_hz(browser: Browser, tmp_path: Pat
 
     flown = bus.states()[begun:][:COUNT]
     swing = [state.x_m * np.exp(-2j * np.pi * F_HZ * state.t_s) for state in flown]
-    highest = re.search(r"x ([\d.]+) µm at ([\d.]+) Hz", shown)
-    assert highest is not None, shown
+    highest = re.search(r"x ([\d.]+) µm at ([\d.]+) Hz", peak_text)
+    assert highest is not None, peak_text
     assert float(highest[1]) == pytest.approx(2e6 * abs(np.mean(swing)), rel=0.05)
     assert float(highest[2]) == pytest.approx(F_HZ, abs=0.05)
     assert ink > 1000, "it is drawn"

@@ -62,7 +62,7 @@ def test_nothing_acts_after_a_stop_however_many_summaries_are_read(
     rig: Rig, page: Page, bus: Bus, viewers: Viewers
 ) -> None:
     """An operator closes the loop beside them, the browser gives up, and somebody stops the rig."""
-    viewers.ask(VIEWERS)
+    viewers.request_summaries(VIEWERS)
     wait_for(lambda: children(rig.hmi.pid), "a summary that is being read")
 
     with contextlib.suppress(httpx.TimeoutException):
@@ -86,17 +86,17 @@ def test_nothing_acts_after_a_stop_however_many_summaries_are_read(
 def test_sessions_are_found_by_a_condition_and_a_wrong_one_is_said(page: Page, rig: Rig) -> None:
     os.utime(rig.folder / "logs" / "big.mcap", (1.7e9, 1.7e9))  # finished long ago
 
-    found = page.http.get("/api/sessions", params={"where": "samples = 60000"}).json()["text"]
+    table = page.http.get("/api/sessions", params={"where": "samples = 60000"}).json()["text"]
     wrong = page.http.get("/api/sessions", params={"where": "--json"}).json()["text"]
 
-    assert "big.mcap" in found
-    assert found.endswith("1 row\n")
+    assert "big.mcap" in table
+    assert table.endswith("1 row\n")
     assert "cannot be answered" in wrong
 
 
 def test_one_summary_is_read_at_a_time_and_ends_with_its_request(rig: Rig, page: Page, viewers: Viewers) -> None:
-    viewers.ask(WAITING + 1)
-    viewers.ask(3)
+    viewers.request_summaries(WAITING + 1)
+    viewers.request_summaries(3)
 
     (first,) = wait_for(lambda: children(rig.hmi.pid), "a summary that is being read")
     refused = wait_for(lambda: viewers.statuses().count(503), "refusals")

@@ -22,7 +22,7 @@ SCRIPTS = {path.name: path.read_text(encoding="utf-8") for path in (HMI / "stati
 SECTIONS = tomllib.loads(FILE.read_text(encoding="utf-8"))
 TEXTS = {f"{section}.{name}": text for section, texts in SECTIONS.items() for name, text in texts.items()}
 MAX_WORDS = 25
-SEEN_ATTRIBUTES = "aria-label|title|placeholder"
+TEXT_ATTRIBUTES = "aria-label|title|placeholder"
 UNITS = {"mm"}  # the same in each language
 WORDS = re.compile(r"[A-Za-z]{2,} [A-Za-z]{2,}|^[A-Z][a-z]+(?![\w-])")  # two words, or one that begins a sentence
 NO_TEXTS = {  # what looks like words and is none: a command, HTML, names of modes, fonts, a key
@@ -49,10 +49,10 @@ def constants(*nodes: ast.AST) -> list[str]:
 def literals(script: str) -> list[str]:
     """The string literals of a script, templates in the pieces between their values."""
     code = re.sub(r"/\*.*?\*/|(?<![:\"'`\\])//[^\n]*", "", script, flags=re.DOTALL)
-    found = re.findall(r'"((?:[^"\\\n]|\\.)*)"', code)
+    strings = re.findall(r'"((?:[^"\\\n]|\\.)*)"', code)
     for template in re.findall(r"`([^`]*)`", code):
-        found += re.split(r"\${[^}]*}", template)
-    return found
+        strings += re.split(r"\${[^}]*}", template)
+    return strings
 
 
 def template_calls(template: nodes.Template, function: str) -> Iterator[tuple[str, list[nodes.Keyword] | None]]:
@@ -123,7 +123,7 @@ def test_no_template_has_a_text_of_its_own(name: str) -> None:
         for part in output.nodes
     )
     content = re.findall(r"[A-Za-z]+", re.sub(r"<[^>]*>", " ", markup))
-    seen = re.findall(rf'\b(?:{SEEN_ATTRIBUTES})="([^"]*[A-Za-z][^"]*)"', markup)
+    attributes = re.findall(rf'\b(?:{TEXT_ATTRIBUTES})="([^"]*[A-Za-z][^"]*)"', markup)
     passed = {
         const.value
         for call in template.find_all(nodes.Call)
@@ -132,7 +132,7 @@ def test_no_template_has_a_text_of_its_own(name: str) -> None:
     }
 
     assert set(content) <= UNITS
-    assert seen == []
+    assert attributes == []
     assert [word for word in passed - NO_TEXTS - set(TEXTS) if WORDS.search(word)] == []
 
 
@@ -146,10 +146,10 @@ def test_no_refusal_has_a_text_of_its_own(name: str) -> None:
 
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_no_script_has_a_text_of_its_own(name: str) -> None:
-    shown = re.findall(r'(?:textContent = |\b(?:cell|element)\("\w+", |\bput\("[\w-]+", )["`]([^"`$]*)', SCRIPTS[name])
+    words = re.findall(r'(?:textContent = |\b(?:cell|element)\("\w+", |\bput\("[\w-]+", )["`]([^"`$]*)', SCRIPTS[name])
 
     assert [word for word in literals(SCRIPTS[name]) if WORDS.search(word) and word not in NO_TEXTS] == []
-    assert [word for word in shown if re.search(r"[A-Za-z]", word)] == []
+    assert [word for word in words if re.search(r"[A-Za-z]", word)] == []
 
 
 def test_the_style_sheet_has_no_text() -> None:

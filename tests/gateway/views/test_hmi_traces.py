@@ -58,29 +58,29 @@ def test_no_spike_is_lost_between_500_hz_and_a_screen() -> None:
         traces = board.companion(Traces)
         traces.pump()
 
-    seen, cursor = traces.since(0)
-    assert 50 < len(seen) < 70, "30 bins a second"
-    assert max(float(str(row[4])) for row in seen) == pytest.approx(4.5e-3)
-    assert seen[0][6] is None, "what does not exist is null: JSON has no NaN"
+    rows, cursor = traces.since(0)
+    assert 50 < len(rows) < 70, "30 bins a second"
+    assert max(float(str(row[4])) for row in rows) == pytest.approx(4.5e-3)
+    assert rows[0][6] is None, "what does not exist is null: JSON has no NaN"
     assert traces.since(cursor) == ([], cursor)
 
 
 def test_a_frame_has_what_came_until_it_was_made() -> None:
     """Nobody else takes in the samples here: the task that does so for all boards is slower than the frames."""
-    sessions, sent, seen = LoginSessions(idle_s=1e6, lifetime_s=1e6), list[str](), asyncio.Event()
+    sessions, sent, received = LoginSessions(idle_s=1e6, lifetime_s=1e6), list[str](), asyncio.Event()
     session = sessions.open("vic", Role.VIEWER, time.monotonic())
     arriving = iter([{"type": "websocket.connect"}])
 
     async def receive() -> Message:
         if connect := next(arriving, None):
             return connect
-        await seen.wait()
+        await received.wait()
         return {"type": "websocket.disconnect", "code": 1000}
 
     async def send(message: Message) -> None:
         if text := message.get("text"):
             sent.append(text)
-            seen.set()
+            received.set()
 
     scope = {"type": "websocket", "headers": [], "path_params": {"board": "rig"}, "board51_session": session}
     with spike_of_samples(500) as (feed, _):

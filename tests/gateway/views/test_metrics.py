@@ -70,16 +70,16 @@ def test_what_the_bus_says_is_what_is_scraped(bus: tuple[PlayedGateway, Feed]) -
     divergence = pb.Divergence(sync="in-step", x_m=error, nis_mean=2.1, innovation_valid=True)
     alarm = pb.Alarm(name='say "x"\n', active=True, text="?", host_time_ns=time.time_ns())
 
-    def heard() -> dict[str, Metric] | None:
+    def collect_metrics() -> dict[str, Metric] | None:
         """The metrics once all of it has arrived, and before it is old."""
         gateway.state(i_c_a=0.7, x_m=3.1e-3)
         for topic, message in (("status", status), ("twin/divergence", divergence), ("twin/alarm", alarm)):
             gateway.send(topic, message)
         families = scraped(feed)
-        wanted = ("alarm_active", "position_meters", "divergence_position_meters", "samples_received_total")
-        return families if all(value(families, f"board51_{name}", rig="rig") for name in wanted) else None
+        required = ("alarm_active", "position_meters", "divergence_position_meters", "samples_received_total")
+        return families if all(value(families, f"board51_{name}", rig="rig") for name in required) else None
 
-    families = wait_for(heard, "all of it")
+    families = wait_for(collect_metrics, "all of it")
 
     def of(name: str, **labels: str) -> float | None:
         return value(families, f"board51_{name}", rig="rig", **labels)
@@ -115,10 +115,10 @@ def test_the_dashboard_and_the_alerts_ask_for_metrics_that_exist(bus: tuple[Play
     variables = [variable["query"] for variable in dashboard["templating"]["list"]]
     alerts = (MONITORING / "alerts.yml").read_text(encoding="utf-8")
 
-    asked = set(re.findall(r"\bboard51_\w+", " ".join([*queries, *variables, alerts])))
+    queried = set(re.findall(r"\bboard51_\w+", " ".join([*queries, *variables, alerts])))
 
-    assert asked - exist == set()
-    assert len(asked) > 20
+    assert queried - exist == set()
+    assert len(queried) > 20
     assert len({panel["id"] for panel in dashboard["panels"]}) == len(dashboard["panels"])
     for counter in re.findall(r"board51_\w+_total", " ".join(queries)):
         assert all(f"rate({counter}" in query for query in queries if counter in query)
@@ -127,6 +127,6 @@ def test_the_dashboard_and_the_alerts_ask_for_metrics_that_exist(bus: tuple[Play
 def test_the_how_to_names_every_metric_and_no_other(bus: tuple[PlayedGateway, Feed]) -> None:
     page = (MONITORING.parent / "howto" / "monitoring.md").read_text(encoding="utf-8")
 
-    told = {f"board51{rest}" for rest in re.findall(r"`(?:board51)?(_[a-z0-9_]+)`", page)}
+    documented = {f"board51{rest}" for rest in re.findall(r"`(?:board51)?(_[a-z0-9_]+)`", page)}
 
-    assert told == names(scraped(bus[1]))
+    assert documented == names(scraped(bus[1]))

@@ -33,7 +33,7 @@ def answer(_: str, command: pb.Command) -> pb.CommandReply:
 
 
 def test_setpoints_are_commands_and_refusals_are_status_codes(server: Served) -> None:
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status("rig/state/x_m", S.Good)
             within = await client.write("rig/setpoint/x_ref_m", ua.Variant(2e-3, DOUBLE))
@@ -48,7 +48,7 @@ def test_setpoints_are_commands_and_refusals_are_status_codes(server: Served) ->
 
     server.gateway.commands.clear()
     with ticking(server.gateway, "rig"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
     sent = [command for _, command in server.gateway.commands]
     assert [c.WhichOneof("what") for c in sent] == ["set_reference", "set_reference", "set_mode"]
@@ -57,13 +57,13 @@ def test_setpoints_are_commands_and_refusals_are_status_codes(server: Served) ->
 
 
 def test_methods_are_commands_and_say_why_they_were_refused(server: Served) -> None:
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status("rig/state/x_m", S.Good)
             stop = await client.call("rig", "Stop")
             far = await client.call("rig", "SetReference", ua.Variant(9e-3, DOUBLE))
             capture = await client.call("rig", "Capture", *[ua.Variant(v, DOUBLE) for v in (0.0, 1.0, 0.04, 0.004)])
-            few = await client.call("rig", "SetReference")
+            incomplete = await client.call("rig", "SetReference")
             other = await client.call("rig", "Nothing")
 
             assert (stop.StatusCode.value, stop.OutputArguments[3].Value) == (S.Good, 1234)
@@ -72,7 +72,7 @@ def test_methods_are_commands_and_say_why_they_were_refused(server: Served) -> N
                 False, "out-of-range", "x_ref is outside the gateway's limits.",
             ]  # fmt: skip
             assert capture.StatusCode.value == S.BadInvalidState
-            assert few.StatusCode.value == S.BadArgumentsMissing
+            assert incomplete.StatusCode.value == S.BadArgumentsMissing
             assert other.StatusCode.value == S.BadMethodInvalid
             record = pb.CommandRecord(
                 command=pb.Command(who="eva", stop=pb.Stop()), reply=pb.CommandReply(reason="slew")
@@ -86,21 +86,21 @@ def test_methods_are_commands_and_say_why_they_were_refused(server: Served) -> N
             await until(reason, "reason of the last command")
 
     with ticking(server.gateway, "rig"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
 
 def test_no_gateway_is_no_communication(server: Served) -> None:
     def silent(_: str, command: pb.Command) -> pb.CommandReply:
         return pb.CommandReply(id=command.id, refused_by="link", reason="link-down", text="the board is not there")
 
-    async def ask() -> int:
+    async def session_work() -> int:
         async with peer(server.port) as client:
             await client.await_status("rig/state/x_m", S.Good)
             return int((await client.call("rig", "Stop")).StatusCode.value)
 
     usual, server.gateway.answer = server.gateway.answer, silent
     with ticking(server.gateway, "rig"):
-        code = asyncio.run(ask())
+        code = asyncio.run(session_work())
     server.gateway.answer = usual
 
     assert code == S.BadNoCommunication
@@ -109,7 +109,7 @@ def test_no_gateway_is_no_communication(server: Served) -> None:
 def test_alarms_are_conditions_that_can_be_acknowledged(server: Served) -> None:
     notified = Notifications()
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status("alarming/state/x_m", S.Good)
             subscription = await client.client.create_subscription(50, notified)
@@ -140,8 +140,8 @@ def test_alarms_are_conditions_that_can_be_acknowledged(server: Served) -> None:
                 request.InputArguments = [ua.Variant(event_id), ua.Variant(ua.LocalizedText("a cold coil"))]
                 codes.append((await client.client.uaclient.call([request]))[0].StatusCode.value)
             assert codes == [S.BadEventIdUnknown, S.Good, S.BadConditionBranchAlreadyAcked]
-            seen = await until(lambda: condition(True), "acknowledged condition")
-            assert (seen.ClientUserId, seen.Comment.Text) == ("anonymous", "a cold coil")
+            confirmed = await until(lambda: condition(True), "acknowledged condition")
+            assert (confirmed.ClientUserId, confirmed.Comment.Text) == ("anonymous", "a cold coil")
             assert (await client.read("alarming/alarms/unacknowledged")).Value.Value == 0
             again = await client.call("alarming", "Acknowledge", ua.Variant("divergence-x"), ua.Variant(""))
             assert again.StatusCode.value == S.BadConditionBranchAlreadyAcked
@@ -150,4 +150,4 @@ def test_alarms_are_conditions_that_can_be_acknowledged(server: Served) -> None:
 
     server.gateway.commands.clear()
     with ticking(server.gateway, "alarming"):
-        asyncio.run(ask())
+        asyncio.run(session_work())

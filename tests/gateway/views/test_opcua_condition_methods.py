@@ -25,11 +25,11 @@ CONDITION_TYPE = ua.NodeId(ua.ObjectIds.ConditionType)
 
 
 def test_a_refresh_reaches_the_items_at_the_rig_too(server: Served) -> None:
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client, peer(server.port) as other:
             await client.await_status("refreshed/state/x_m", S.Good)
             raise_alarm(server, "refreshed")
-            found = {}
+            event_types = {}
             for node in (client.node("refreshed"), client.client.get_node(SERVER)):
                 notified = Notifications()
                 subscription = await client.client.create_subscription(50, notified)
@@ -40,22 +40,22 @@ def test_a_refresh_reaches_the_items_at_the_rig_too(server: Served) -> None:
                 assert await refresh(client, number, ua.Variant(item, V.UInt32)) == S.Good
                 await notified.retained("divergence-x", 2)
                 await notified.events_of(ua.ObjectIds.RefreshEndEventType, 2)
-                found[node] = [e.EventType.Identifier for e in notified.events if e.SourceName == "Server"]
+                event_types[node] = [e.EventType.Identifier for e in notified.events if e.SourceName == "Server"]
                 assert await refresh(client, number, ua.Variant(item + 1000, V.UInt32)) == S.BadMonitoredItemIdInvalid
                 assert await refresh(other, number) == S.BadSubscriptionIdInvalid
                 assert await refresh(client, ua.Variant(1.0, V.Double)) == S.BadInvalidArgument
             start, end = ua.ObjectIds.RefreshStartEventType, ua.ObjectIds.RefreshEndEventType
-            for brackets in found.values():
+            for brackets in event_types.values():
                 assert [kind for kind in brackets if kind in (start, end)] == [start, end, start, end]
 
     with ticking(server.gateway, "refreshed"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
 
 def test_a_comment_is_added_without_acknowledging(server: Served) -> None:
     notified = Notifications()
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             came = await condition(server, client, notified, "commented")
             method = ua.ObjectIds.ConditionType_AddComment
@@ -72,7 +72,7 @@ def test_a_comment_is_added_without_acknowledging(server: Served) -> None:
 
     server.gateway.commands.clear()
     with ticking(server.gateway, "commented"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
     [(_, command)] = server.gateway.commands  # the log has it
     assert command.mark.text == "divergence-x: seen on Monday, too"
@@ -82,7 +82,7 @@ def test_a_disabled_condition_is_silent_until_it_is_enabled(server: Served) -> N
     notified = Notifications()
     enable, disable = ua.ObjectIds.ConditionType_Enable, ua.ObjectIds.ConditionType_Disable
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             came = await condition(server, client, notified, "disabled")
             assert await of_condition(client, came, enable) == S.BadConditionAlreadyEnabled
@@ -95,7 +95,7 @@ def test_a_disabled_condition_is_silent_until_it_is_enabled(server: Served) -> N
             assert await of_condition(client, came, acknowledge, ua.Variant(came.EventId), comment) == (
                 S.BadConditionDisabled
             )
-            told = len(notified.events)
+            event_count = len(notified.events)
             raise_alarm(server, "disabled", text="x is further off")
             server.gateway.send("event", pb.Event(name="mark", severity="info", text="later"), "disabled")
 
@@ -103,7 +103,7 @@ def test_a_disabled_condition_is_silent_until_it_is_enabled(server: Served) -> N
                 return True if any("later" in (e.Message.Text or "") for e in notified.events) else None
 
             await until(later, "event after the alarm")
-            assert [e for e in notified.events[told:] if "off" in (e.Message.Text or "")] == []
+            assert [e for e in notified.events[event_count:] if "off" in (e.Message.Text or "")] == []
             notified.events.clear()
             assert await of_condition(client, came, enable) == S.Good
             on = await until(lambda: with_enabled(notified, came, enabled=True), "enabled condition")
@@ -111,14 +111,14 @@ def test_a_disabled_condition_is_silent_until_it_is_enabled(server: Served) -> N
 
     server.gateway.commands.clear()
     with ticking(server.gateway, "disabled"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
     remarks = [command.mark.text for _, command in server.gateway.commands]
     assert remarks == [f"divergence-x {state} for OPC UA clients" for state in ("disabled", "enabled")]
 
 
 def test_only_who_may_disables_a_condition() -> None:
-    async def ask(server: Served) -> None:
+    async def session_work(server: Served) -> None:
         async with peer(server.port) as client:
             came = await condition(server, client, Notifications(), "timed")
             code = await of_condition(client, came, ua.ObjectIds.ConditionType_Disable)
@@ -129,7 +129,7 @@ def test_only_who_may_disables_a_condition() -> None:
         ticking(gateway, "timed"),
         Served(gateway, OpcuaSettings(port=0, anonymous=Role.OPERATOR)) as server,
     ):
-        asyncio.run(ask(server))
+        asyncio.run(session_work(server))
 
 
 async def with_enabled(notified: Notifications, came: Any, *, enabled: bool) -> Any:

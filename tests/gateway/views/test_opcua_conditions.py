@@ -25,13 +25,13 @@ FIELDS = (  # mandatory from BaseEventType to AlarmConditionType; SourceNode, So
 )  # fmt: skip
 
 
-def told(condition: ConditionNode, after_s: float, *, retain: bool = True, **changes: Any) -> Any:
+def make_event(condition: ConditionNode, after_s: float, *, retain: bool = True, **changes: Any) -> Any:
     now = START + timedelta(seconds=after_s)
     return condition_event(replace(ALARM, **changes), condition, NODE, now, retain=retain)
 
 
 def test_every_field_has_a_value_that_can_be_sent() -> None:
-    event = told(ConditionNode("rig", "divergence-x"), 0)
+    event = make_event(ConditionNode("rig", "divergence-x"), 0)
 
     assert [name for name in FIELDS if getattr(event, name, None) is None] == []
     for name in FIELDS:
@@ -41,23 +41,23 @@ def test_every_field_has_a_value_that_can_be_sent() -> None:
 
 def test_each_state_says_since_when() -> None:
     condition = ConditionNode("rig", "divergence-x")
-    came = told(condition, 0)
-    seen = told(condition, 5, acknowledged=True, acknowledger="eva", comment="known")
-    worse = told(condition, 7, acknowledged=True, acknowledger="eva", comment="known", severity="fault")
-    gone = told(condition, 9, retain=False, acknowledged=True, acknowledger="eva", comment="known")
+    came = make_event(condition, 0)
+    acknowledged = make_event(condition, 5, acknowledged=True, acknowledger="eva", comment="known")
+    worse = make_event(condition, 7, acknowledged=True, acknowledger="eva", comment="known", severity="fault")
+    ended = make_event(condition, 9, retain=False, acknowledged=True, acknowledger="eva", comment="known")
 
     def since(event: Any, field: str) -> float:
         return float((getattr(event, field) - START).total_seconds())
 
-    assert [since(e, "ActiveState/TransitionTime") for e in (came, seen, worse, gone)] == [0, 0, 0, 9]
-    assert [since(e, "AckedState/TransitionTime") for e in (came, seen, worse, gone)] == [0, 5, 5, 5]
-    assert [since(e, "Comment/SourceTimestamp") for e in (came, seen, worse, gone)] == [0, 5, 5, 5]
-    assert [e.LastSeverity for e in (came, seen, worse, gone)] == [500, 500, 500, 800]
-    assert [getattr(e, "EnabledState/EffectiveDisplayName").Text for e in (came, gone)] == [
+    assert [since(e, "ActiveState/TransitionTime") for e in (came, acknowledged, worse, ended)] == [0, 0, 0, 9]
+    assert [since(e, "AckedState/TransitionTime") for e in (came, acknowledged, worse, ended)] == [0, 5, 5, 5]
+    assert [since(e, "Comment/SourceTimestamp") for e in (came, acknowledged, worse, ended)] == [0, 5, 5, 5]
+    assert [e.LastSeverity for e in (came, acknowledged, worse, ended)] == [500, 500, 500, 800]
+    assert [getattr(e, "EnabledState/EffectiveDisplayName").Text for e in (came, ended)] == [
         "Active, Unacknowledged",
         "Inactive, Acknowledged",
     ]
-    assert len({e.EventId for e in (came, seen, worse, gone)}) == 4
+    assert len({e.EventId for e in (came, acknowledged, worse, ended)}) == 4
 
 
 @pytest.mark.parametrize("path", sorted({*_INPUTS.values(), "state/flags"}))
@@ -68,8 +68,8 @@ def test_the_input_of_a_condition_is_a_variable_of_the_rig(path: str) -> None:
 def test_a_shelved_condition_says_so_and_for_how_long() -> None:
     condition = ConditionNode("rig", "divergence-x")
     until_ns = round((START + timedelta(seconds=65)).timestamp() * 1e9)
-    shelved = told(condition, 5, acknowledged=True, shelved_until_ns=until_ns)
-    back = told(condition, 30)
+    shelved = make_event(condition, 5, acknowledged=True, shelved_until_ns=until_ns)
+    back = make_event(condition, 30)
 
     assert [event.SuppressedOrShelved for event in (shelved, back)] == [True, False]
     assert [getattr(event, SHELVING).Text for event in (shelved, back)] == ["Timed Shelved", "Unshelved"]

@@ -37,12 +37,12 @@ def test_every_field_of_the_topics_is_a_variable() -> None:
 
 
 def test_every_kind_of_command_is_a_method() -> None:
-    by_act = {method.act: method for method in methods()}
+    lookup = {method.act: method for method in methods()}
 
-    assert set(by_act) | {"set_plant"} == {field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields}
-    assert by_act["set_reference"].name == "SetReference"
-    assert [a.name for a in by_act["set_gains"].arguments] == ["law", "gains", "i_0_a", "x_0_m", "u_0_v"]
-    assert by_act["stop"].arguments == ()
+    assert set(lookup) | {"set_plant"} == {field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields}
+    assert lookup["set_reference"].name == "SetReference"
+    assert [a.name for a in lookup["set_gains"].arguments] == ["law", "gains", "i_0_a", "x_0_m", "u_0_v"]
+    assert lookup["stop"].arguments == ()
 
 
 @pytest.mark.parametrize(
@@ -60,10 +60,10 @@ def test_the_link_decides_the_status(state: str, code: int) -> None:
 
 
 def test_a_twin_is_good_in_step_only() -> None:
-    found = [quality.of_twin(0.1, "in-step"), quality.of_twin(0.1, "settling"), quality.of_twin(0.1, "out-of-step"),
+    codes = [quality.of_twin(0.1, "in-step"), quality.of_twin(0.1, "settling"), quality.of_twin(0.1, "out-of-step"),
              quality.of_twin(1.0, "in-step"), quality.of_twin(60.0, "in-step")]  # fmt: skip
 
-    assert found == [S.Good, S.UncertainSubNormal, S.UncertainSubNormal, S.UncertainLastUsableValue,
+    assert codes == [S.Good, S.UncertainSubNormal, S.UncertainSubNormal, S.UncertainLastUsableValue,
                      S.BadNoCommunication]  # fmt: skip
 
 
@@ -104,9 +104,9 @@ def test_stamps_always_rise_and_are_times(samples: list[tuple[int, float, int]])
 
 @pytest.mark.parametrize(("value", "variant"), [(math.nan, ua.VariantType.Double), (-1, ua.VariantType.UInt32)])
 def test_a_number_that_a_client_cannot_take_is_unavailable(value: float, variant: ua.VariantType) -> None:
-    shown = data_value(value, variant, quality.GOOD, 1)
+    result = data_value(value, variant, quality.GOOD, 1)
 
-    assert (shown.Value.Value, shown.StatusCode.value) == (None, quality.UNAVAILABLE)
+    assert (result.Value.Value, result.StatusCode.value) == (None, quality.UNAVAILABLE)
 
 
 def history_of(rows: int, retained: int) -> RingHistory:
@@ -188,7 +188,7 @@ def test_a_written_value_becomes_a_command_or_says_why_not() -> None:
 
 
 def test_a_call_becomes_a_command_or_says_which_argument_is_wrong() -> None:
-    by_act = {method.act: method for method in methods()}
+    lookup = {method.act: method for method in methods()}
     gains = [
         ua.Variant(0, ua.VariantType.UInt32),
         ua.Variant([0.5, 1700.0, 17.7, -17600.0]),
@@ -196,14 +196,14 @@ def test_a_call_becomes_a_command_or_says_which_argument_is_wrong() -> None:
         ua.Variant(2.85e-3),
     ]
 
-    good = called(by_act["set_gains"], [*gains, ua.Variant(2.1)])
-    few = called(by_act["set_gains"], gains)
-    wrong = called(by_act["set_stream"], [ua.Variant("every")])
-    negative = called(by_act["set_stream"], [ua.Variant(-1, ua.VariantType.UInt32)])
+    good = called(lookup["set_gains"], [*gains, ua.Variant(2.1)])
+    incomplete = called(lookup["set_gains"], gains)
+    wrong = called(lookup["set_stream"], [ua.Variant("every")])
+    negative = called(lookup["set_stream"], [ua.Variant(-1, ua.VariantType.UInt32)])
 
     assert isinstance(good, pb.Command)
     assert list(good.set_gains.gains) == [0.5, 1700.0, 17.7, -17600.0]
-    assert few == (S.BadArgumentsMissing, [])
+    assert incomplete == (S.BadArgumentsMissing, [])
     assert wrong == (S.BadInvalidArgument, [S.BadTypeMismatch])
     assert negative == (S.BadInvalidArgument, [S.BadOutOfRange])
 
@@ -212,11 +212,11 @@ def test_a_call_becomes_a_command_or_says_which_argument_is_wrong() -> None:
 def test_every_method_takes_arguments_of_the_types_that_it_declares(method: Method) -> None:
     v = ua.VariantType
     examples = {v.Double: 0.5, v.Boolean: True, v.UInt32: 1, v.Int32: 1, v.String: "text"}
-    given = [
+    inputs = [
         ua.Variant([examples[a.variant]] if a.is_array else examples[a.variant], a.variant) for a in method.arguments
     ]
 
-    command = called(method, given)
+    command = called(method, inputs)
 
     assert isinstance(command, pb.Command)
     assert command.WhichOneof("what") == method.act

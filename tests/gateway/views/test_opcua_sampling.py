@@ -20,29 +20,31 @@ S = ua.StatusCodes
 INTERVAL_MS = 20.0
 
 
-async def revised(client: Peer, path: str, *asked_ms: float, publishing_ms: float = 100.0) -> list[float]:
+async def revised(client: Peer, path: str, *requested_ms: float, publishing_ms: float = 100.0) -> list[float]:
     """The sampling intervals that the server promises, for new items and for modified ones."""
     subscription = await client.client.create_subscription(publishing_ms, Notifications())
-    found: list[float] = []
-    for interval_ms in asked_ms:
+    revised_ms: list[float] = []
+    for interval_ms in requested_ms:
         request = ua.MonitoredItemCreateRequest(MonitoringMode=ua.MonitoringMode.Reporting)
         request.ItemToMonitor = ua.ReadValueId(NodeId=client.node(path).nodeid, AttributeId=ua.AttributeIds.Value)
         request.RequestedParameters = ua.MonitoringParameters(SamplingInterval=interval_ms, QueueSize=10)
-        asked = ua.CreateMonitoredItemsParameters(SubscriptionId=subscription.subscription_id, ItemsToCreate=[request])
-        [created] = await client.client.uaclient.create_monitored_items(asked)
+        creation = ua.CreateMonitoredItemsParameters(
+            SubscriptionId=subscription.subscription_id, ItemsToCreate=[request]
+        )
+        [created] = await client.client.uaclient.create_monitored_items(creation)
         created.StatusCode.check()
         change = ua.MonitoredItemModifyRequest(created.MonitoredItemId, request.RequestedParameters)
         modify = ua.ModifyMonitoredItemsParameters(SubscriptionId=subscription.subscription_id, ItemsToModify=[change])
         [modified] = await client.client.uaclient.modify_monitored_items(modify)
         assert modified.RevisedSamplingInterval == created.RevisedSamplingInterval
-        found.append(created.RevisedSamplingInterval)
-    return found
+        revised_ms.append(created.RevisedSamplingInterval)
+    return revised_ms
 
 
 def test_a_promised_interval_is_a_whole_number_of_the_servers(server: Served) -> None:
-    asked = (0.0, 1.0, 20.0, 21.0, 1000.0, -1.0, float("nan"), 1e12)
+    requested = (0.0, 1.0, 20.0, 21.0, 1000.0, -1.0, float("nan"), 1e12)
 
-    async def ask() -> tuple[list[list[float]], Any, Any]:
+    async def session_work() -> tuple[list[list[float]], Any, Any]:
         async with peer(server.port) as client:
             await client.await_status("rig/state/x_m", S.Good)
             paths = ("state/x_m", "state/x_m/max", "status/link", "last_command/text", "setpoint/mode")
@@ -50,13 +52,13 @@ def test_a_promised_interval_is_a_whole_number_of_the_servers(server: Served) ->
                 ua.NodeId(ua.ObjectIds.Server_ServerCapabilities_MinSupportedSampleRate)
             ).read_value()
             declared = await client.node("rig/setpoint/mode").read_attribute(ua.AttributeIds.MinimumSamplingInterval)
-            return [await revised(client, f"rig/{path}", *asked) for path in paths], lowest, declared.Value.Value
+            return [await revised(client, f"rig/{path}", *requested) for path in paths], lowest, declared.Value.Value
 
     with ticking(server.gateway, "rig"):
-        (value, extreme, status, last, setpoint), lowest, declared = asyncio.run(ask())
+        (value, extreme, status, last, setpoint), lowest, declared = asyncio.run(session_work())
 
     assert value == setpoint == [20.0, 20.0, 20.0, 40.0, 1000.0, 100.0, 100.0, 3_600_000.0]
-    assert extreme == status == last == [INTERVAL_MS] * len(asked)  # a spike or a change would be lost
+    assert extreme == status == last == [INTERVAL_MS] * len(requested)  # a spike or a change would be lost
     assert lowest == declared == INTERVAL_MS
 
 
@@ -64,7 +66,7 @@ def test_a_slow_item_gets_its_share_of_the_intervals_and_every_extreme(server: S
     paths = ("slow/state/x_m", "slow/state/x_m/max", "slow/state/i_c_a")
     notified = Notifications()
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status("slow/state/x_m", S.Good)
             subscription = await client.client.create_subscription(20.0, notified)
@@ -75,7 +77,7 @@ def test_a_slow_item_gets_its_share_of_the_intervals_and_every_extreme(server: S
             await received(notified, paths[0], 12)
 
     with ticking(server.gateway, "slow", values=lambda n: {"x_m": n * 1e-6, "i_c_a": n * 1e-6}):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
     steps = {}
     for path in paths:
@@ -88,7 +90,7 @@ def test_a_slow_item_gets_its_share_of_the_intervals_and_every_extreme(server: S
 def test_a_slow_item_is_told_of_a_loss_at_once(server: Served) -> None:
     notified = Notifications()
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             with ticking(server.gateway, "lost"):
                 await client.await_status("lost/state/x_m", S.Good)
@@ -101,7 +103,7 @@ def test_a_slow_item_is_told_of_a_loss_at_once(server: Served) -> None:
 
             await until(lost, "a status that is not good")
 
-    asyncio.run(ask())
+    asyncio.run(session_work())
 
 
 def test_the_text_of_a_refusal_goes_with_the_next_success() -> None:
@@ -113,7 +115,7 @@ def test_the_text_of_a_refusal_goes_with_the_next_success() -> None:
         command, reply = pb.Command(who="eva", stop=pb.Stop()), pb.CommandReply(accepted=not text, text=text)
         gateway.send("command/record", pb.CommandRecord(command=command, reply=reply), "rig")
 
-    async def ask(server: Served) -> None:
+    async def session_work(server: Served) -> None:
         async with peer(server.port) as client:
 
             async def reads(text: str) -> bool | None:
@@ -140,5 +142,5 @@ def test_the_text_of_a_refusal_goes_with_the_next_success() -> None:
         ticking(gateway, "rig", values=lambda n: {"x_m": n * 1e-6}),
         Served(gateway, OpcuaSettings(port=0, rate_hz=0.5, anonymous=Role.ENGINEER)) as slow,
     ):
-        asyncio.run(ask(slow))
+        asyncio.run(session_work(slow))
     assert [value.Value.Value for value in between.values[path]] == ["too far", ""]

@@ -69,7 +69,7 @@ async def enter(
     *,
     policy: type[SecurityPolicy] = SecurityPolicyBasic256Sha256,
     certificate_of: str = "otto",
-    by_certificate: bool = False,
+    with_certificate: bool = False,
 ) -> Client:
     """A client that is in, or an exception."""
     client = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=HANG_S)
@@ -82,7 +82,7 @@ async def enter(
         server_certificate=plant.folder / "opcua" / "server.pem",
         mode=ua.MessageSecurityMode.SignAndEncrypt,
     )
-    if by_certificate:
+    if with_certificate:
         await client.load_client_certificate(identity / "certificate.pem")
         await client.load_private_key(identity / "key.pem")
     elif name is not None:
@@ -114,13 +114,13 @@ async def acts(client: Client) -> dict[str, int]:
     ],
 )
 def test_an_operator_comes_in_by_password_over_each_policy(plant: Plant, policy: type[SecurityPolicy]) -> None:
-    async def ask() -> dict[str, int]:
+    async def session_work() -> dict[str, int]:
         async with await entered(plant, "otto", policy=policy) as client:
             return await acts(client)
 
     plant.server.gateway.commands.clear()
 
-    assert asyncio.run(ask()) == {"stop": S.Good, "reference": S.Good, "gains": S.BadUserAccessDenied}
+    assert asyncio.run(session_work()) == {"stop": S.Good, "reference": S.Good, "gains": S.BadUserAccessDenied}
     assert {command.who for _, command in plant.server.gateway.commands} == {"otto"}
 
 
@@ -143,32 +143,32 @@ class _Entered:
     ("name", "allowed"), [("vera", {"stop"}), ("emma", {"stop", "reference", "gains"})], ids=["viewer", "engineer"]
 )
 def test_rights_are_those_of_the_role(plant: Plant, name: str, allowed: set[str]) -> None:
-    async def ask() -> dict[str, int]:
+    async def session_work() -> dict[str, int]:
         async with await entered(plant, name) as client:
             return await acts(client)
 
-    found = asyncio.run(ask())
+    codes = asyncio.run(session_work())
 
-    assert {act for act, code in found.items() if code == S.Good} == allowed
-    assert {code for code in found.values() if code != S.Good} <= {S.BadUserAccessDenied}
+    assert {act for act, code in codes.items() if code == S.Good} == allowed
+    assert {code for code in codes.values() if code != S.Good} <= {S.BadUserAccessDenied}
 
 
 def test_a_person_comes_in_by_certificate(plant: Plant) -> None:
-    async def ask() -> dict[str, int]:
-        async with await entered(plant, None, certificate_of="emma", by_certificate=True) as client:
+    async def session_work() -> dict[str, int]:
+        async with await entered(plant, None, certificate_of="emma", with_certificate=True) as client:
             return await acts(client)
 
-    assert asyncio.run(ask())["gains"] == S.Good
+    assert asyncio.run(session_work())["gains"] == S.Good
 
 
 def refused(plant: Plant, *args: Any, **options: Any) -> str:
-    async def ask() -> None:
+    async def session_work() -> None:
         client = await enter(plant, *args, **options)
         await client.disconnect()
 
-    with pytest.raises((UaError, ConnectionError, asyncio.TimeoutError)) as said:
-        asyncio.run(ask())
-    return type(said.value).__name__
+    with pytest.raises((UaError, ConnectionError, asyncio.TimeoutError)) as error:
+        asyncio.run(session_work())
+    return type(error.value).__name__
 
 
 def test_a_wrong_password_is_refused(plant: Plant) -> None:
@@ -205,15 +205,15 @@ def test_a_trusted_certificate_of_another_authority_is_let_in(plant: Plant, tmp_
     trusted.mkdir()
     (trusted / "scada.pem").write_bytes((folder / "identities" / "eve" / "certificate.pem").read_bytes())
 
-    async def ask() -> dict[str, int]:
+    async def session_work() -> dict[str, int]:
         strange = replace(plant, folder=folder)
         async with await entered(strange, "otto", certificate_of="eve") as client:
             return await acts(client)
 
     try:
-        assert asyncio.run(ask())["stop"] == S.Good
+        assert asyncio.run(session_work())["stop"] == S.Good
         # Trusted as an application, it is nobody's login: the name in it is not its own to give.
-        assert refused(replace(plant, folder=folder), None, certificate_of="eve", by_certificate=True) in (
+        assert refused(replace(plant, folder=folder), None, certificate_of="eve", with_certificate=True) in (
             "BadUserAccessDenied",
             "BadIdentityTokenRejected",
         )
@@ -225,7 +225,7 @@ def test_a_trusted_certificate_of_another_authority_is_let_in(plant: Plant, tmp_
 def test_the_right_password_over_an_unencrypted_channel_is_refused(plant: Plant) -> None:
     """No endpoint offers it, but asyncua's server opens such a channel all the same."""
 
-    async def ask() -> None:
+    async def session_work() -> None:
         client = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=HANG_S)
         await client.connect_socket()
         try:
@@ -240,10 +240,10 @@ def test_the_right_password_over_an_unencrypted_channel_is_refused(plant: Plant)
         finally:
             client.disconnect_socket()
 
-    with pytest.raises(UaError) as said:
-        asyncio.run(ask())
+    with pytest.raises(UaError) as error:
+        asyncio.run(session_work())
 
-    assert type(said.value).__name__ == "BadSecurityModeInsufficient"
+    assert type(error.value).__name__ == "BadSecurityModeInsufficient"
 
 
 def der(plant: Plant, name: str) -> bytes:
@@ -252,11 +252,11 @@ def der(plant: Plant, name: str) -> bytes:
     return x509.load_pem_x509_certificate(pem).public_bytes(Encoding.DER)
 
 
-@pytest.mark.parametrize("shown", ["none", "otto's"])
+@pytest.mark.parametrize("certificate", ["none", "otto's"])
 def test_a_channel_by_another_certificate_than_the_one_shown_is_refused(
-    plant: Plant, tmp_path: Path, shown: str
+    plant: Plant, tmp_path: Path, certificate: str
 ) -> None:
-    async def ask() -> None:
+    async def session_work() -> None:
         strange = stranger(plant, tmp_path) / "identities" / "eve"
         server = plant.folder / "opcua" / "server.pem"
         client = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=HANG_S)
@@ -273,7 +273,7 @@ def test_a_channel_by_another_certificate_than_the_one_shown_is_refused(
             await client.open_secure_channel()
             parameters = ua.CreateSessionParameters()
             parameters.ClientNonce, parameters.RequestedSessionTimeout = bytes(32), 60_000
-            parameters.ClientCertificate = der(plant, "otto") if shown == "otto's" else None
+            parameters.ClientCertificate = der(plant, "otto") if certificate == "otto's" else None
             session = await client.uaclient.create_session(parameters)
             challenge = x509.load_pem_x509_certificate(server.read_bytes()).public_bytes(Encoding.DER)
             activation = ua.ActivateSessionParameters()
@@ -285,16 +285,16 @@ def test_a_channel_by_another_certificate_than_the_one_shown_is_refused(
         finally:
             client.disconnect_socket()
 
-    with pytest.raises(UaError) as said:
-        asyncio.run(ask())
+    with pytest.raises(UaError) as error:
+        asyncio.run(session_work())
 
-    assert type(said.value).__name__ == "BadCertificateInvalid"
+    assert type(error.value).__name__ == "BadCertificateInvalid"
 
 
 def test_guessing_a_session_does_not_give_its_rights(plant: Plant) -> None:
     """asyncua's tokens are counted up; whoever names one must not be taken for its owner."""
 
-    async def ask() -> list[str]:
+    async def session_work() -> list[str]:
         async with await entered(plant, "emma", certificate_of="emma") as owner:
             tokens = [owner.uaclient.protocol.authentication_token]
             await owner.get_namespace_array()
@@ -303,7 +303,7 @@ def test_guessing_a_session_does_not_give_its_rights(plant: Plant) -> None:
             await thief.send_hello()
             await thief.open_secure_channel()
             thief.uaclient.protocol.authentication_token = tokens[0]
-            told = []
+            answers = []
             parameters = ua.ActivateSessionParameters()
             parameters.UserIdentityToken = ua.UserNameIdentityToken(UserName="vera", Password=b"wrong")
             for attempt in (
@@ -311,16 +311,16 @@ def test_guessing_a_session_does_not_give_its_rights(plant: Plant) -> None:
                 lambda: Peer(thief, 2).call("rig", "Stop"),
             ):
                 try:
-                    told.append(str(await attempt()))
+                    answers.append(str(await attempt()))
                 except UaError as error:
-                    told.append(type(error).__name__)
+                    answers.append(type(error).__name__)
             thief.disconnect_socket()
-            return told
+            return answers
 
     plant.server.gateway.commands.clear()
-    told = asyncio.run(ask())
+    answers = asyncio.run(session_work())
 
-    assert all(name.startswith("Bad") for name in told), told
+    assert all(name.startswith("Bad") for name in answers), answers
     assert plant.server.gateway.commands == []
 
 
@@ -330,21 +330,21 @@ def test_a_flood_of_wrong_passwords_is_refused_and_keeps_nobody_out_who_was_in(
     now_s = time.monotonic()
     monkeypatch.setattr(plant.security._logins, "_clock", lambda: now_s)  # however slow this machine's flood is
 
-    async def ask() -> tuple[list[str], dict[str, int]]:
+    async def session_work() -> tuple[list[str], dict[str, int]]:
         async with await entered(plant, "otto"):
             pass
-        told = [await told_of(plant, "vera", f"guess-{n}") for n in range(3 * BURST)]
+        answers = [await answer_to(plant, "vera", f"guess-{n}") for n in range(3 * BURST)]
         async with await entered(plant, "otto") as client:
-            return told, await acts(client)
+            return answers, await acts(client)
 
-    told, done = asyncio.run(ask())
+    answers, codes = asyncio.run(session_work())
 
-    assert set(told) == {"BadUserAccessDenied", "BadTooManyOperations"}
-    assert done["stop"] == S.Good
+    assert set(answers) == {"BadUserAccessDenied", "BadTooManyOperations"}
+    assert codes["stop"] == S.Good
     assert ("otto", "127.0.0.1") in plant.security._logins._tries._known
 
 
-async def told_of(plant: Plant, name: str, password: str) -> str:
+async def answer_to(plant: Plant, name: str, password: str) -> str:
     try:
         client = await enter(plant, name, password)
     except UaError as error:
@@ -359,10 +359,10 @@ def test_where_a_login_comes_from_is_the_address_of_its_connection(folder: Secur
 
     for _ in range(BURST):
         assert security.identify("otto", "guess", None, "10.0.0.66") is None
-    with pytest.raises(ServiceError) as said:
+    with pytest.raises(ServiceError) as error:
         security.identify("otto", PASSWORD["otto"], None, "10.0.0.66")
 
-    assert said.value.code == S.BadTooManyOperations
+    assert error.value.code == S.BadTooManyOperations
     assert security.identify("otto", PASSWORD["otto"], None, "10.0.0.7") is not None
 
 
@@ -376,10 +376,10 @@ def folder(tmp_path: Path) -> SecurityFolder:
 def test_a_key_that_others_may_read_is_refused(folder: SecurityFolder) -> None:
     os.chmod(folder.server("opcua")[1], 0o644)
 
-    with pytest.raises(ConfigError, match="open to others") as said:
+    with pytest.raises(ConfigError, match="open to others") as error:
         Security(folder.path)
 
-    assert "chmod 600" in str(said.value)
+    assert "chmod 600" in str(error.value)
 
 
 def test_an_expired_certificate_is_refused(folder: SecurityFolder) -> None:

@@ -24,7 +24,7 @@ DOUBLE = ua.VariantType.Double
 
 
 def test_a_board_has_values_units_ranges_and_descriptions(server: Served) -> None:
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             x = await client.await_status("units/state/x_m", S.Good)
             unit, span = await client.read("units/state/x_m/EngineeringUnits"), None
@@ -50,18 +50,18 @@ def test_a_board_has_values_units_ranges_and_descriptions(server: Served) -> Non
             assert {"units/state", "units/twin", "units/SetReference", "units/Stop"} <= set(names)
 
     with ticking(server.gateway, "units"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
 
 def test_a_plant_that_nobody_stated_has_no_values_and_one_that_was_stated_is_read_only(server: Served) -> None:
     async def send(client: Peer, card: pb.PlantCard, status: int) -> None:
-        async def seen() -> bool | None:
+        async def is_read() -> bool | None:
             server.gateway.send("plant", card, "card")
             return True if (await client.read("card/plant/plant.mass_kg")).StatusCode.value == status else None
 
-        await until(seen, "the card")
+        await until(is_read, "the card")
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status("card/state/x_m", S.Good)
             await send(client, pb.PlantCard(), S.BadDataUnavailable)
@@ -77,7 +77,7 @@ def test_a_plant_that_nobody_stated_has_no_values_and_one_that_was_stated_is_rea
             assert "card/SetPlant" not in names
 
     with ticking(server.gateway, "card"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
 
 async def known(client: Peer, path: str) -> Any:
@@ -88,21 +88,21 @@ async def known(client: Peer, path: str) -> Any:
 def test_a_spike_of_one_tick_is_in_the_maximum(server: Served) -> None:
     notified = Notifications()
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status("spike/state/x_m", S.Good)
             await subscribe(client, notified, "spike/state/x_m", "spike/state/x_m/max", "spike/state/x_m/min")
             await received(notified, "spike/state/x_m/min", 1)
             server.gateway.state("spike", x_m=4.5e-3)
 
-            async def seen() -> bool | None:
+            async def has_spike() -> bool | None:
                 maxima = [v.Value.Value for v in notified.values.get("spike/state/x_m/max", [])]
                 return True if 4.5e-3 in maxima else None
 
-            await until(seen, "spike")
+            await until(has_spike, "spike")
 
     with ticking(server.gateway, "spike"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
     assert {v.Value.Value for v in notified.values["spike/state/x_m/min"]} == {3e-3}
 
@@ -110,14 +110,14 @@ def test_a_spike_of_one_tick_is_in_the_maximum(server: Served) -> None:
 def test_a_subscriber_at_50_hz_gets_every_interval_in_order(server: Served) -> None:
     notified, paths = Notifications(), [f"fast/state/{name}" for name in ("i_c_a", "x_m", "u_c_v")]
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status("fast/state/x_m", S.Good)
             await subscribe(client, notified, *paths)
             await received(notified, paths[-1], 40)
 
     with ticking(server.gateway, "fast", values=lambda n: {"i_c_a": n * 1e-6, "x_m": n * 1e-6, "u_c_v": n * 1e-6}):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
     for path in paths:
         # A feed that a busy machine holds up is silent for a moment, and called so.
@@ -128,45 +128,45 @@ def test_a_subscriber_at_50_hz_gets_every_interval_in_order(server: Served) -> N
 
 
 def test_the_status_tells_the_truth_about_a_board_that_falls_silent(server: Served) -> None:
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             with ticking(server.gateway, "silent"):
                 await client.await_status("silent/state/x_m", S.Good)
             stale = await client.await_status("silent/state/x_m", S.UncertainLastUsableValue, 2.0)
             assert stale.Value.Value == 3e-3
             server.gateway.status("silent", link="absent")
-            gone = await client.await_status("silent/state/x_m", S.BadNoCommunication, 2.0)
-            assert gone.Value.Value is None
+            status = await client.await_status("silent/state/x_m", S.BadNoCommunication, 2.0)
+            assert status.Value.Value is None
             assert (await client.read("silent/link/state")).Value.Value == "absent"
             with ticking(server.gateway, "silent"):
                 await client.await_status("silent/state/x_m", S.Good)
 
-    asyncio.run(ask())
+    asyncio.run(session_work())
 
 
 def test_a_subscriber_is_told_of_a_loss_without_a_new_sample(server: Served) -> None:
     notified = Notifications()
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             with ticking(server.gateway, "lost"):
                 await client.await_status("lost/state/x_m", S.Good)
                 await subscribe(client, notified, "lost/state/x_m")
                 await received(notified, "lost/state/x_m", 1)
 
-            async def told() -> bool | None:
+            async def is_reported() -> bool | None:
                 newest = notified.values["lost/state/x_m"][-1]
                 return True if newest.StatusCode.value == S.UncertainLastUsableValue else None
 
-            await until(told, "status")
+            await until(is_reported, "status")
 
-    asyncio.run(ask())
+    asyncio.run(session_work())
 
 
 def test_no_value_from_before_an_outage_is_called_good_after_it(server: Served) -> None:
     notified = Notifications()
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             with ticking(server.gateway, "back"):
                 await client.await_status("back/state/x_m", S.Good)
@@ -179,7 +179,7 @@ def test_no_value_from_before_an_outage_is_called_good_after_it(server: Served) 
                 await client.await_status("back/state/x_m", S.Good)
                 await received(notified, "back/state/x_m", 2)
 
-    asyncio.run(ask())
+    asyncio.run(session_work())
 
     assert [v.Value.Value for v in notified.values["back/link/state"]][:2] == ["silent", "live"]
     good = [v.Value.Value for v in notified.values["back/state/x_m"] if v.StatusCode.value == S.Good]
@@ -189,7 +189,7 @@ def test_no_value_from_before_an_outage_is_called_good_after_it(server: Served) 
 def test_faults_and_clipping_are_in_the_status_of_the_signal(server: Served) -> None:
     flags = [0]
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status("faulty/state/x_m", S.Good)
             flags[0] = Flag.POSITION_RANGE
@@ -204,7 +204,7 @@ def test_faults_and_clipping_are_in_the_status_of_the_signal(server: Served) -> 
             await client.await_status("faulty/state/x_m", S.Good)
 
     with ticking(server.gateway, "faulty", values=lambda _: {"flags": flags[0]}):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
 
 def test_a_twin_out_of_step_is_uncertain(server: Served) -> None:
@@ -212,7 +212,7 @@ def test_a_twin_out_of_step_is_uncertain(server: Served) -> None:
         state = pb.TwinState(tick=server.gateway.tick, session=1, x_m=3e-3, sync=sync)
         server.gateway.send("twin/state", state, "stepping")
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status("stepping/state/x_m", S.Good)
 
@@ -225,11 +225,11 @@ def test_a_twin_out_of_step_is_uncertain(server: Served) -> None:
             await until(lambda: with_sync("out-of-step", S.UncertainSubNormal), "uncertain twin")
 
     with ticking(server.gateway, "stepping"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
 
 def test_the_last_minutes_can_be_read(server: Served) -> None:
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status("past/state/x_m", S.Good)
             node, start = client.node("past/state/x_m"), datetime.now(UTC) - timedelta(minutes=1)
@@ -249,24 +249,24 @@ def test_the_last_minutes_can_be_read(server: Served) -> None:
             assert (await node.read_attribute(ua.AttributeIds.Historizing)).Value.Value is True
 
     with ticking(server.gateway, "past"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
 
 def test_an_empty_history_says_why_it_is_empty(server: Served) -> None:
-    async def ask() -> list[int]:
+    async def session_work() -> list[int]:
         async with peer(server.port) as client:
             await client.await_status("old/state/x_m", S.Good)
             details = ua.ReadRawModifiedDetails(IsReadModified=False, NumValuesPerNode=10)
             details.StartTime, details.EndTime = datetime(2001, 1, 1, tzinfo=UTC), datetime(2001, 1, 2, tzinfo=UTC)
-            asked = ua.HistoryReadParameters(HistoryReadDetails=details)
-            asked.NodesToRead = [
+            request = ua.HistoryReadParameters(HistoryReadDetails=details)
+            request.NodesToRead = [
                 ua.HistoryReadValueId(NodeId=ua.NodeId(path, client.namespace))
                 for path in ("old/state/x_m", "old/status/link", "old/nothing")
             ]
-            return [result.StatusCode.value for result in await client.client.uaclient.history_read(asked)]
+            return [result.StatusCode.value for result in await client.client.uaclient.history_read(request)]
 
     with ticking(server.gateway, "old"):
-        codes = asyncio.run(ask())
+        codes = asyncio.run(session_work())
 
     assert codes == [S.GoodNoData, S.BadHistoryOperationUnsupported, S.BadNodeIdUnknown]
 
@@ -274,7 +274,7 @@ def test_an_empty_history_says_why_it_is_empty(server: Served) -> None:
 def test_a_client_that_wants_everything_at_1_ms_gets_a_bounded_service(server: Served) -> None:
     notified = Notifications()
 
-    async def ask() -> int:
+    async def session_work() -> int:
         async with peer(server.port) as client:
             await client.await_status("greedy/state/x_m", S.Good)
             nodes, folders = list[Any](), [client.node("greedy")]
@@ -290,14 +290,14 @@ def test_a_client_that_wants_everything_at_1_ms_gets_a_bounded_service(server: S
             return len(nodes)
 
     with ticking(server.gateway, "greedy"):
-        count = asyncio.run(ask())
+        count = asyncio.run(session_work())
 
     assert count > 150
 
 
 def test_a_port_in_use_is_said_in_one_line(server: Served) -> None:
-    with pytest.raises(ServiceError, match="cannot listen on") as said:
+    with pytest.raises(ServiceError, match="cannot listen on") as error:
         with Served(server.gateway, OpcuaSettings(port=server.port)):
             pass
 
-    assert "--listen" in str(said.value)
+    assert "--listen" in str(error.value)

@@ -26,12 +26,12 @@ PATH = "timed/state/x_m"
 # -- timestamps
 
 
-@pytest.mark.parametrize("asked", [T.Source, T.Server, T.Both, T.Neither], ids=lambda asked: asked.name)
-def test_a_read_has_the_timestamps_asked_for(server: Served, asked: ua.TimestampsToReturn) -> None:
-    async def ask() -> list[ua.DataValue]:
+@pytest.mark.parametrize("timestamps", [T.Source, T.Server, T.Both, T.Neither], ids=lambda timestamps: timestamps.name)
+def test_a_read_has_the_timestamps_asked_for(server: Served, timestamps: ua.TimestampsToReturn) -> None:
+    async def session_work() -> list[ua.DataValue]:
         async with peer(server.port) as client:
             await client.await_status(PATH, S.Good)
-            parameters = ua.ReadParameters(TimestampsToReturn=asked)
+            parameters = ua.ReadParameters(TimestampsToReturn=timestamps)
             parameters.NodesToRead = [
                 ua.ReadValueId(NodeId=ua.NodeId(PATH, client.namespace), AttributeId=attribute)
                 for attribute in (ua.AttributeIds.Value, ua.AttributeIds.DisplayName)
@@ -39,61 +39,61 @@ def test_a_read_has_the_timestamps_asked_for(server: Served, asked: ua.Timestamp
             return list(await client.client.uaclient.read(parameters))
 
     with ticking(server.gateway, "timed"):
-        value, name = asyncio.run(ask())
+        value, name = asyncio.run(session_work())
 
-    assert (value.SourceTimestamp is not None) == (asked in (T.Source, T.Both))
-    assert (value.ServerTimestamp is not None) == (asked in (T.Server, T.Both))
+    assert (value.SourceTimestamp is not None) == (timestamps in (T.Source, T.Both))
+    assert (value.ServerTimestamp is not None) == (timestamps in (T.Server, T.Both))
     assert name.SourceTimestamp is None  # only a value has a source
     if value.ServerTimestamp is not None:
         assert abs(value.ServerTimestamp - datetime.now(UTC)) < timedelta(seconds=30)
 
 
-@pytest.mark.parametrize("asked", [T.Source, T.Server, T.Both, T.Neither], ids=lambda asked: asked.name)
-def test_a_monitored_item_has_the_timestamps_asked_for(server: Served, asked: ua.TimestampsToReturn) -> None:
+@pytest.mark.parametrize("timestamps", [T.Source, T.Server, T.Both, T.Neither], ids=lambda timestamps: timestamps.name)
+def test_a_monitored_item_has_the_timestamps_asked_for(server: Served, timestamps: ua.TimestampsToReturn) -> None:
     notified = Notifications()
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status("timed/state/sequence", S.Good)
-            items = await monitor(client, notified, "timed/state/sequence", asked=asked)
+            items = await monitor(client, notified, "timed/state/sequence", timestamps=timestamps)
             assert items[0].StatusCode.is_good()
             await received(notified, "timed/state/sequence", 3)
 
     with ticking(server.gateway, "timed"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
     for value in notified.values["timed/state/sequence"]:
-        assert (value.SourceTimestamp is not None) == (asked in (T.Source, T.Both))
-        assert (value.ServerTimestamp is not None) == (asked in (T.Server, T.Both))
+        assert (value.SourceTimestamp is not None) == (timestamps in (T.Source, T.Both))
+        assert (value.ServerTimestamp is not None) == (timestamps in (T.Server, T.Both))
 
 
-@pytest.mark.parametrize("asked", [T.Source, T.Server, T.Both], ids=lambda asked: asked.name)
-def test_history_has_the_timestamps_asked_for(server: Served, asked: ua.TimestampsToReturn) -> None:
-    async def ask() -> list[ua.DataValue]:
+@pytest.mark.parametrize("timestamps", [T.Source, T.Server, T.Both], ids=lambda timestamps: timestamps.name)
+def test_history_has_the_timestamps_asked_for(server: Served, timestamps: ua.TimestampsToReturn) -> None:
+    async def session_work() -> list[ua.DataValue]:
         async with peer(server.port) as client:
             await client.await_status(PATH, S.Good)
 
             async def enough() -> list[ua.DataValue] | None:
-                result = (await client.client.uaclient.history_read(history(client, asked)))[0]
+                result = (await client.client.uaclient.history_read(history(client, timestamps)))[0]
                 values = result.HistoryData.DataValues
                 return values if len(values) > 3 else None
 
             return await until(enough, "history")
 
     with ticking(server.gateway, "timed"):
-        values = asyncio.run(ask())
+        values = asyncio.run(session_work())
 
     for value in values:
-        assert (value.SourceTimestamp is not None) == (asked in (T.Source, T.Both))
-        assert (value.ServerTimestamp is not None) == (asked in (T.Server, T.Both))
-        if asked == T.Both:  # kept when it came, not when it was read
+        assert (value.SourceTimestamp is not None) == (timestamps in (T.Source, T.Both))
+        assert (value.ServerTimestamp is not None) == (timestamps in (T.Server, T.Both))
+        if timestamps == T.Both:  # kept when it came, not when it was read
             assert abs(value.ServerTimestamp - value.SourceTimestamp) < timedelta(seconds=30)
-    if asked == T.Both:
+    if timestamps == T.Both:
         assert len({value.ServerTimestamp for value in values}) > 1
 
 
 def test_timestamps_that_do_not_exist_are_refused(server: Served) -> None:
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status(PATH, S.Good)
             with pytest.raises(UaStatusCodeError, match="BadTimestampsToReturnInvalid"):
@@ -101,17 +101,17 @@ def test_timestamps_that_do_not_exist_are_refused(server: Served) -> None:
             with pytest.raises(UaStatusCodeError, match="BadTimestampsToReturnInvalid"):
                 await client.client.uaclient.read(ua.ReadParameters(TimestampsToReturn=T.Invalid))
             with pytest.raises(UaStatusCodeError, match="BadTimestampsToReturnInvalid"):
-                await monitor(client, Notifications(), PATH, asked=T.Invalid)
+                await monitor(client, Notifications(), PATH, timestamps=T.Invalid)
 
     with ticking(server.gateway, "timed"):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
 
-def history(client: Peer, asked: ua.TimestampsToReturn) -> ua.HistoryReadParameters:
+def history(client: Peer, timestamps: ua.TimestampsToReturn) -> ua.HistoryReadParameters:
     """Of the last minute."""
     details = ua.ReadRawModifiedDetails(IsReadModified=False, NumValuesPerNode=100)
     details.StartTime, details.EndTime = datetime.now(UTC) - timedelta(minutes=1), datetime.now(UTC)
-    parameters = ua.HistoryReadParameters(HistoryReadDetails=details, TimestampsToReturn=asked)
+    parameters = ua.HistoryReadParameters(HistoryReadDetails=details, TimestampsToReturn=timestamps)
     parameters.NodesToRead = [ua.HistoryReadValueId(NodeId=ua.NodeId(PATH, client.namespace))]
     return parameters
 
@@ -137,7 +137,7 @@ def test_all_variables_of_one_interval_belong_together_however_late_it_is_sent(s
         async with peer(server.port) as client:
             with ticking(gateway, "burst", values=values):
                 await client.await_status(paths[0], S.Good)
-                await monitor(client, notified, *paths, asked=T.Source, filter_=data_filter(stamps=True))
+                await monitor(client, notified, *paths, timestamps=T.Source, filter_=data_filter(stamps=True))
                 await received(notified, paths[-1], 1)
             for _ in range(200):  # 20 intervals at once
                 gateway.state("burst", **values(0))
@@ -150,12 +150,12 @@ def test_all_variables_of_one_interval_belong_together_however_late_it_is_sent(s
 
     asyncio.run(burst())
 
-    by_stamp: dict[datetime, dict[str, Any]] = {}
+    values_at: dict[datetime, dict[str, Any]] = {}
     for name, path in zip(names, paths, strict=True):
         for value in notified.values[path][1:]:
             if value.StatusCode.is_good():
-                by_stamp.setdefault(value.SourceTimestamp, {})[name] = value.Value.Value
-    whole = [row for row in by_stamp.values() if len(row) == len(names)]
+                values_at.setdefault(value.SourceTimestamp, {})[name] = value.Value.Value
+    whole = [row for row in values_at.values() if len(row) == len(names)]
     assert len(whole) > 15  # of 20; with the first and the last there may be parts
     for row in whole:
         tick = row["tick"] - 1  # `values` is asked before the tick is counted
@@ -196,19 +196,19 @@ def test_nothing_beside_a_setpoint_can_be_written(server: Served, path: str) -> 
 def _written(server: Served, path: str, value: ua.Variant) -> tuple[int, int]:
     """Status code, and how many commands that made."""
 
-    async def ask() -> int:
+    async def session_work() -> int:
         async with peer(server.port) as client:
             await client.await_status(PATH, S.Good)
             return await client.write(f"timed/{path}", value)
 
     server.gateway.commands.clear()
     with ticking(server.gateway, "timed"):
-        code = asyncio.run(ask())
+        code = asyncio.run(session_work())
     return code, len(server.gateway.commands)
 
 
 def test_an_argument_of_another_type_is_named(server: Served) -> None:
-    async def ask() -> list[tuple[int, list[int]]]:
+    async def session_work() -> list[tuple[int, list[int]]]:
         async with peer(server.port) as client:
             await client.await_status(PATH, S.Good)
             results = [
@@ -224,7 +224,7 @@ def test_an_argument_of_another_type_is_named(server: Served) -> None:
 
     server.gateway.commands.clear()
     with ticking(server.gateway, "timed"):
-        results = asyncio.run(ask())
+        results = asyncio.run(session_work())
 
     mismatch = S.BadTypeMismatch
     assert results == [
@@ -242,36 +242,36 @@ def test_an_argument_of_another_type_is_named(server: Served) -> None:
 
 def test_a_deadband_counts_from_the_value_sent_last() -> None:
     band = data_filter(deadband=1.0)
-    sent, told = None, []
+    sent, reported = None, []
 
     for n in range(41):
         value = ua.DataValue(ua.Variant(0.1 * n, V.Double))
         if is_news(sent, value, band):
             sent = value
-            told.append(n)
+            reported.append(n)
 
-    assert told == [0, 11, 22, 33]
+    assert reported == [0, 11, 22, 33]
 
 
 def test_a_client_with_a_deadband_does_not_end_the_service_when_a_value_goes(server: Served) -> None:
     notified = Notifications()
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             with ticking(server.gateway, "gone"):
                 await client.await_status("gone/state/x_m", S.Good)
                 paths = ("gone/state/x_m", "gone/link/state")
-                await monitor(client, notified, *paths, asked=T.Both, filter_=data_filter(deadband=1e-6))
+                await monitor(client, notified, *paths, timestamps=T.Both, filter_=data_filter(deadband=1e-6))
             server.gateway.status("gone", link="absent")
             await client.await_status("gone/state/x_m", S.BadNoCommunication)
             with ticking(server.gateway, "gone"):
                 await client.await_status("gone/state/x_m", S.Good)
 
-    asyncio.run(ask())
+    asyncio.run(session_work())
 
 
 @pytest.mark.parametrize(
-    ("path", "attribute", "asked"),
+    ("path", "attribute", "filter_"),
     [
         ("timed/state/x_m", ua.AttributeIds.Value, ua.EventFilter()),
         ("timed/state/x_m", ua.AttributeIds.Value, ua.AggregateFilter()),
@@ -281,19 +281,21 @@ def test_a_client_with_a_deadband_does_not_end_the_service_when_a_value_goes(ser
     ],
 )
 def test_a_filter_that_does_not_fit_is_refused_and_ends_nothing(
-    server: Served, path: str, attribute: ua.AttributeIds, asked: Any
+    server: Served, path: str, attribute: ua.AttributeIds, filter_: Any
 ) -> None:
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status(PATH, S.Good)
-            item = (await monitor(client, Notifications(), path, asked=T.Both, filter_=asked, attribute=attribute))[0]
+            item = (
+                await monitor(client, Notifications(), path, timestamps=T.Both, filter_=filter_, attribute=attribute)
+            )[0]
             assert item.StatusCode.value == S.BadMonitoredItemFilterUnsupported
             other = Notifications()
-            assert (await monitor(client, other, PATH, asked=T.Both))[0].StatusCode.is_good()
+            assert (await monitor(client, other, PATH, timestamps=T.Both))[0].StatusCode.is_good()
             await received(other, PATH, 1)
 
     with ticking(server.gateway, "timed", values=lambda n: {"x_m": n * 1e-6}):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
 
 @pytest.mark.parametrize(("attribute", "name"), [(99, ""), (13, "data_types")])
@@ -303,17 +305,22 @@ def test_a_select_clause_that_means_nothing_ends_nothing(server: Served, attribu
 
     board = f"clause{attribute}"
 
-    async def ask() -> None:
+    async def session_work() -> None:
         async with peer(server.port) as client:
             await client.await_status(f"{board}/state/x_m", S.Good)
             strange = ua.EventFilter(SelectClauses=[clause])
             await monitor(
-                client, Notifications(), board, asked=T.Both, filter_=strange, attribute=ua.AttributeIds.EventNotifier
+                client,
+                Notifications(),
+                board,
+                timestamps=T.Both,
+                filter_=strange,
+                attribute=ua.AttributeIds.EventNotifier,
             )
             await condition(server, client, Notifications(), board)
 
     with ticking(server.gateway, board):
-        asyncio.run(ask())
+        asyncio.run(session_work())
 
 
 def data_filter(*, deadband: float = 0.0, stamps: bool = False) -> ua.DataChangeFilter:
@@ -326,7 +333,7 @@ def data_filter(*, deadband: float = 0.0, stamps: bool = False) -> ua.DataChange
 
 
 def test_the_server_says_what_it_supports(server: Served) -> None:
-    async def ask() -> list[Any]:
+    async def session_work() -> list[Any]:
         async with peer(server.port) as client:
             nodes = (
                 ua.ObjectIds.Server_ServerCapabilities_ServerProfileArray,
@@ -336,7 +343,7 @@ def test_the_server_says_what_it_supports(server: Served) -> None:
             )
             return [await client.client.get_node(ua.NodeId(node)).read_value() for node in nodes]
 
-    profiles, locales, has_history, has_server_timestamps = asyncio.run(ask())
+    profiles, locales, has_history, has_server_timestamps = asyncio.run(session_work())
 
     assert {TRANSPORT, "http://opcfoundation.org/UA/SecurityPolicy#None", *FACETS} <= set(profiles)
     assert not [profile for profile in profiles if "Basic256" in profile or "UserName" in profile]

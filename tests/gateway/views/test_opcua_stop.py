@@ -41,14 +41,14 @@ def test_a_stop_waits_for_no_other_request_of_its_connection(server: Served) -> 
 
             await until(all_wait, "five writes that are not answered")
             stops = [await asyncio.wait_for(client.call(board, "Stop"), HANG_S) for board in BOARDS]
-            still = not any(write.done() for write in writes)
+            waits = not any(write.done() for write in writes)
             server.gateway.give_up()
             await asyncio.gather(*writes)
-            return [stop.StatusCode.value for stop in stops], still
+            return [stop.StatusCode.value for stop in stops], waits
 
     server.gateway.answer = answer
     with ticking(server.gateway, *BOARDS):
-        codes, still = asyncio.run(play())
+        codes, waits = asyncio.run(play())
 
     assert codes == [S.Good, S.Good]
-    assert still, "the writes were waiting all the time"
+    assert waits, "the writes were waiting all the time"

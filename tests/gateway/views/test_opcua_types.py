@@ -72,18 +72,18 @@ def comment_of(leaf: Leaf) -> str:
     for field in above:
         descriptor = descriptor.fields_by_name[field].message_type
     body = PROTO[PROTO.index(f"message {descriptor.name} {{") :]
-    found = re.search(rf"\b{name} = \d+;[^\S\n]*//[^\S\n]*(.*)", body[: body.index("\n}")])
-    return found[1].strip() if found else ""
+    match = re.search(rf"\b{name} = \d+;[^\S\n]*//[^\S\n]*(.*)", body[: body.index("\n}")])
+    return match[1].strip() if match else ""
 
 
 def test_the_file_declares_the_variables_of_the_bus_and_no_others(declared: Declared) -> None:
-    wanted = {leaf.path: (leaf.variant, leaf.is_array) for leaf in leaves()}
-    wanted |= {extra.path: (extra.variant, extra.path == "alarms/list") for extra in EXTRAS}
-    wanted |= {f"setpoint/{field}": (variant, False) for field, variant in SETPOINTS.items()}
+    expected = {leaf.path: (leaf.variant, leaf.is_array) for leaf in leaves()}
+    expected |= {extra.path: (extra.variant, extra.path == "alarms/list") for extra in EXTRAS}
+    expected |= {f"setpoint/{field}": (variant, False) for field, variant in SETPOINTS.items()}
     kinds = (O.BaseDataVariableType, O.AnalogItemType, O.AnalogUnitType, O.MultiStateDiscreteType)
 
-    assert set().union(*map(declared.paths, kinds)) == set(wanted)
-    for path, (variant, is_array) in wanted.items():
+    assert set().union(*map(declared.paths, kinds)) == set(expected)
+    for path, (variant, is_array) in expected.items():
         data_type = ua.NodeId(variant.value) if path != "link/code" else ua.NodeId("LinkState", declared.types)
         assert (declared.get(path, A.DataType), declared.get(path, A.ValueRank)) == (data_type, 1 if is_array else -1)
 
@@ -94,9 +94,12 @@ def test_units_words_and_descriptions_are_those_of_the_messages(declared: Declar
         name = leaf.field.rpartition(".")[0] if leaf.field.endswith(IN_UNITS_OF_SIGNAL) else leaf.field
         is_double = leaf.variant is ua.VariantType.Double
         unit = next((UNITS[end] for end in UNITS if is_double and name.endswith(end)), None)
-        found = declared.get(f"{leaf.path}/EngineeringUnits")
-        said = found and (found.DisplayName.Text, found.UnitId.to_bytes(4, "big").lstrip(b"\0").decode())
-        assert said == unit, leaf.path
+        declared_unit = declared.get(f"{leaf.path}/EngineeringUnits")
+        declared_text = declared_unit and (
+            declared_unit.DisplayName.Text,
+            declared_unit.UnitId.to_bytes(4, "big").lstrip(b"\0").decode(),
+        )
+        assert declared_text == unit, leaf.path
         words = [word.Text for word in declared.get(f"{leaf.path}/EnumStrings") or []]
         assert words == ([v.name for v in field.enum_type.values] if field and field.enum_type else []), leaf.path
         description = declared.get(leaf.path, A.Description).Text

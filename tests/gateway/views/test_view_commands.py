@@ -15,7 +15,7 @@ from gateway.views.listen import address
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["opcua", "--listen", "0.0.0.0:4840"], "open to the network without protection"),
         (["opcua", "--listen", "4840"], "not an address"),
@@ -38,13 +38,13 @@ from gateway.views.listen import address
     ],
 )
 def test_a_wrong_option_is_one_line_and_exit_code_2(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code = board51.main(words)
 
     errors = capsys.readouterr().err
     assert code == 2
-    assert said in errors
+    assert message in errors
     assert errors.count("\n") == 1
 
 
@@ -58,9 +58,9 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
 def test_help_names_the_defaults_of_the_configuration(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         board51.main(["opcua", "--help"])
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"each with min and max ({OpcuaConfig.rate_hz:g})" in said
-    assert f"10 to 3600 s ({OpcuaConfig.history_s:g})" in said
+    output = " ".join(capsys.readouterr().out.split())
+    assert f"each with min and max ({OpcuaConfig.rate_hz:g})" in output
+    assert f"10 to 3600 s ({OpcuaConfig.history_s:g})" in output
 
 
 @pytest.mark.parametrize("command", ["send", "opcua"])
@@ -80,11 +80,11 @@ def test_a_layout_is_printed_for_the_board_that_was_asked_for(capsys: pytest.Cap
 
 
 @pytest.mark.parametrize(
-    ("text", "meant"),
+    ("text", "parts"),
     [("127.0.0.1:4840", ("127.0.0.1", 4840)), ("[::1]:1", ("::1", 1)), ("scada.plant:4840", ("scada.plant", 4840))],
 )
-def test_an_address_is_host_and_port(text: str, meant: tuple[str, int]) -> None:
-    assert address(text) == meant
+def test_an_address_is_host_and_port(text: str, parts: tuple[str, int]) -> None:
+    assert address(text) == parts
 
 
 def test_the_shipped_page_names_what_exists() -> None:

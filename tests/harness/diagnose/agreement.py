@@ -21,7 +21,7 @@ _ROUNDING = 1e-6
 
 def disagreements(data: Mapping[str, Any]) -> list[str]:
     """What contradicts what; empty where all agrees."""
-    return [*_shares(data), *_verdict(data), *_confidence(data), *_gains(data), *_judged(data), *_sentence(data)]
+    return [*_shares(data), *_verdict(data), *_confidence(data), *_gains(data), *_judge_errors(data), *_sentence(data)]
 
 
 def _shares(data: Mapping[str, Any]) -> Iterator[str]:
@@ -49,20 +49,20 @@ def _verdict(data: Mapping[str, Any]) -> Iterator[str]:
     if verdict in ("unknown-cause", "unfinished") and any(cause["name"] != COUNTED for cause in data["causes"]):
         yield f"{verdict}, and candidates are listed as causes"
     low = (_judge(data).get("ci95_over_floor") or [None])[0]
-    beyond = low is not None and low > TOLERANCE
+    exceeds = low is not None and low > TOLERANCE
     static = "static" in data  # points of rest have an unknown noise: an F test decides
     if verdict in ("causes-found", "model-adequate") and not static:
         if left > 0.0:
             yield f"{verdict}, and {left} of the excess is unexplained"
         if data["jointly_explained"]["share_of_excess"] > 0.5:
             yield f"{verdict}, and the names explain more jointly than apart"
-        if beyond:
+        if exceeds:
             yield f"{verdict}, and the judge recordings lie surely above the noise floor: {low:.3f} times at least"
     if verdict in ("partly-explained", "unknown-cause"):
         rivalled = any(cause.get("rival") for cause in _listed(data))  # what is not known is then where it belongs
         jointly = data["jointly_explained"]["share_of_excess"]
         overlap = jointly > sum(cause["share_of_excess_explained"] for cause in _listed(data))
-        if left == 0.0 and not beyond and not data["unexplained"]["where"] and not (rivalled or overlap):
+        if left == 0.0 and not exceeds and not data["unexplained"]["where"] and not (rivalled or overlap):
             yield f"{verdict}, and nothing is said to be left"
         if not data["unexplained"]["where"] and not data["warnings"]:
             yield f"{verdict} without a word on what is left"
@@ -70,8 +70,8 @@ def _verdict(data: Mapping[str, Any]) -> Iterator[str]:
 
 def _confidence(data: Mapping[str, Any]) -> Iterator[str]:
     for cause in _listed(data):
-        most = 1.0 if cause["name"] == COUNTED else settings.MAX_CONFIDENCE.get(data["verdict"], 0.0)
-        if not 0.0 <= cause["confidence"] <= most + _ROUNDING:
+        limit = 1.0 if cause["name"] == COUNTED else settings.MAX_CONFIDENCE.get(data["verdict"], 0.0)
+        if not 0.0 <= cause["confidence"] <= limit + _ROUNDING:
             yield f"{cause['name']} is sure to {cause['confidence']} beside {data['verdict']}"
 
 
@@ -81,7 +81,7 @@ def _gains(data: Mapping[str, Any]) -> Iterator[str]:
             yield f"{cause['name']} gains {cause['log_likelihood_gain']}, all together {data['excess']['explained']}"
 
 
-def _judged(data: Mapping[str, Any]) -> Iterator[str]:
+def _judge_errors(data: Mapping[str, Any]) -> Iterator[str]:
     for gain in data.get("gains", ()):
         judge = gain["judge"]
         base, after, floor = (judge[key] for key in ("baseline_rmse_m", "extended_rmse_m", "noise_floor_m"))
@@ -99,11 +99,11 @@ def _judged(data: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _sentence(data: Mapping[str, Any]) -> Iterator[str]:
-    text, named = data["sentence"], [one for one in _listed(data) if one["share_of_excess_explained"] > 0.0]
+    text, named = data["sentence"], [entry for entry in _listed(data) if entry["share_of_excess_explained"] > 0.0]
     if "static" in data:
         return
     if (data.get("remainder") or {}).get("beside") == "paper":  # a curve that needs none of them
-        missing = [one["name"] for one in named if one["name"] not in text]
+        missing = [entry["name"] for entry in named if entry["name"] not in text]
         if missing:
             yield f"the sentence lacks {', '.join(missing)}: {text}"
         named = []

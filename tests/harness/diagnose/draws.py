@@ -84,13 +84,13 @@ def draw_hidden(seed: int, part: Part | None = None) -> Hidden:
         return Hidden(part=part, seed=seed, plant="gateway", effects=effects, grade="strong")
     if part == "knock-out":
         names = [name for name in names if name not in INVISIBLE | COUNTED]
-        turn, place = divmod(seed, len(names))
-        effect, grade = EFFECTS[names[place]], GRADES[1 + (turn + place) % 2]
+        turn, index = divmod(seed, len(names))
+        effect, grade = EFFECTS[names[index]], GRADES[1 + (turn + index) % 2]
         effects = {effect.name: _signed(effect, getattr(effect, grade), rng)}
         return Hidden(part=part, seed=seed, plant=plant, effects=effects, grade=grade, without=(effect.name,))
     if part == "causes":
-        turn, place = divmod(seed, len(names))
-        effect, grade = EFFECTS[names[place]], GRADES[(turn + place) % len(GRADES)]
+        turn, index = divmod(seed, len(names))
+        effect, grade = EFFECTS[names[index]], GRADES[(turn + index) % len(GRADES)]
         value = getattr(effect, grade)
         return Hidden(
             part=part, seed=seed, plant=plant, effects={effect.name: _signed(effect, value, rng)}, grade=grade
@@ -142,14 +142,15 @@ def in_the_data(hidden: Hidden, folder: Path, *, quick: bool = False) -> bool:
 
 def _differ(path: Path, other: Path) -> bool:
     """A closed loop makes volts out of one count of x: there x alone is compared."""
-    one, two = (np.genfromtxt(file, delimiter=",", names=True) for file in (path, other))
-    if len(one) != len(two):
+    first, second = (np.genfromtxt(file, delimiter=",", names=True) for file in (path, other))
+    if len(first) != len(second):
         return True
-    same_input = np.array_equal(one["u_c"], two["u_c"])
-    there = one.dtype.names or ()
-    counts = {name: count for name, count in COUNTS.items() if name in there and (name == "x" or same_input)}
+    same_input = np.array_equal(first["u_c"], second["u_c"])
+    columns = first.dtype.names or ()
+    counts = {name: count for name, count in COUNTS.items() if name in columns and (name == "x" or same_input)}
     return any(
-        float(np.nanmax(np.abs(one[name] - two[name]), initial=0.0)) > 3.0 * count for name, count in counts.items()
+        float(np.nanmax(np.abs(first[name] - second[name]), initial=0.0)) > 3.0 * count
+        for name, count in counts.items()
     )
 
 

@@ -57,10 +57,10 @@ def flight(rig: Rig, interval_ms: int, samples: int, seed: int, shape: str) -> F
     """Rows t, u, i, x, x_ref of the logger, shape (samples, 5)."""
     rng = np.random.default_rng(seed)
     every = round(interval_ms * 1e-3 / STEP_S)
-    x, v, place = 0.5 * rig.travel, 0.0, 0.5 * rig.travel
+    x, v, height = 0.5 * rig.travel, 0.0, 0.5 * rig.travel
     gap = rig.travel - x + 1e-3
     i_0 = math.sqrt(rig.mass * rig.gravity / force(rig, 1.0, gap))
-    i, integral, u, wanted = i_0, 0.0, rig.resistance * i_0, i_0
+    i, integral, u, demand = i_0, 0.0, rig.resistance * i_0, i_0
     pole2 = 2.0 * rig.gravity / (rig.depth + gap)
     per_a = 2.0 * rig.gravity / i_0
     rows = np.empty((samples, 5))
@@ -69,18 +69,18 @@ def flight(rig: Rig, interval_ms: int, samples: int, seed: int, shape: str) -> F
         t = k * STEP_S
         if k % LAW_STEPS == 0:
             if shape == "steps":
-                place = (0.5 + 0.12 * (1.0 if t % 2.4 < 1.2 else -1.0)) * rig.travel
+                height = (0.5 + 0.12 * (1.0 if t % 2.4 < 1.2 else -1.0)) * rig.travel
             elif shape == "sines":
-                place = (0.5 + 0.1 * math.sin(2.0 * t) + 0.05 * math.sin(7.3 * t)) * rig.travel
+                height = (0.5 + 0.1 * math.sin(2.0 * t) + 0.05 * math.sin(7.3 * t)) * rig.travel
             else:
-                place = (0.5 + 0.15 * (abs(t / 3.0 % 2.0 - 1.0) * 2.0 - 1.0)) * rig.travel
-            e = place - x
+                height = (0.5 + 0.15 * (abs(t / 3.0 % 2.0 - 1.0) * 2.0 - 1.0)) * rig.travel
+            e = height - x
             integral += e * STEP_S * LAW_STEPS
-            wanted = i_0 + ((pole2 + 900.0) * e - 60.0 * v + 800.0 * integral) / per_a
-            u = min(max(rig.resistance * wanted + 90.0 * (wanted - i), 0.0), 12.0)
+            demand = i_0 + ((pole2 + 900.0) * e - 60.0 * v + 800.0 * integral) / per_a
+            u = min(max(rig.resistance * demand + 90.0 * (demand - i), 0.0), 12.0)
         if k % every == 0:
             n = k // every
-            rows[n] = t, u, i + noise[n, 0], hall(rig, x) + noise[n, 1], place
+            rows[n] = t, u, i + noise[n, 0], hall(rig, x) + noise[n, 1], height
         gap = rig.travel - x + 1e-3
         shared = 1.0 + gap / rig.depth
         slope = rig.inductance / rig.depth / shared**2

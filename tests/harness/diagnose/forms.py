@@ -22,20 +22,20 @@ class Form:
     medium: float
     strong: float
     unit: str
-    about: str
+    meaning: str
     source: str
     held_out: bool = False  # no shape of the catalogue is this formula
 
 
 def _form(
-    effect: str, strengths: tuple[float, float], unit: str, about: str, source: str, *, held_out: bool = False
+    effect: str, strengths: tuple[float, float], unit: str, meaning: str, source: str, *, held_out: bool = False
 ) -> Form:
     return Form(
         effect=effect,
         medium=strengths[0],
         strong=strengths[1],
         unit=unit,
-        about=about,
+        meaning=meaning,
         source=source,
         held_out=held_out,
     )

@@ -34,8 +34,8 @@ ShapeName = Literal["none", "rectangle", "sawtooth", "prbs", "multisine"]
 PlantName = Literal["emulator", "independent", "textbook"]
 
 MIDDLE_M = 2.85e-3
-CONTACT_MOST = 0.05  # of the closed loop
-INPUT_MOST_V = 4.8  # K_A u stays below the 1.5 A that every rig of this kind gives
+MAX_CONTACT_SHARE = 0.05  # of the closed loop
+MAX_INPUT_V = 4.8  # K_A u stays below the 1.5 A that every rig of this kind gives
 CAPTURE_S = 40e-6
 CAPTURE_PRE, CAPTURE_COUNT = 250, 1000  # 10 ms before the step, 30 ms after it
 _RIG, _NOISE, _PLAY, _BELIEF = 11, 12, 13, 14  # keep the draws of a seed apart
@@ -171,7 +171,7 @@ def make_campaign(
         bench = SecondBench(rig, now, seed=noise, believed=believed, outside=outside)
     recorded = play(bench, seed=seed, quick=quick, begins={begins_with: effects})
     share = contact_share(recorded, rig)
-    if share > CONTACT_MOST:
+    if share > MAX_CONTACT_SHARE:
         raise Grounded(f"The ball is at a stop for {100 * share:.0f} % of the closed loop")
     write_campaign(folder, rig, believed, recorded, x_max=x_max)
 
@@ -202,15 +202,15 @@ def play(
     keep("rest", "free", np.concatenate((off, below)))
 
     lift_v = _lift_off_input(bench)
-    levels = ((0.0, 0.3), (0.5, 1.5), (1.5, 2.5), (2.5, 0.5), (2.5, min(1.12 * lift_v, INPUT_MOST_V)))
+    levels = ((0.0, 0.3), (0.5, 1.5), (1.5, 2.5), (2.5, 0.5), (2.5, min(1.12 * lift_v, MAX_INPUT_V)))
     for n, (u_from, u_to) in enumerate(levels, 1):
         keep(f"step_{n}", "amplifier-step", bench.capture(u_from, u_to))
     keep("step_6", "amplifier-step", bench.capture(0.9, 2.1), "judge")
 
-    top = min(1.08 * lift_v, INPUT_MOST_V)
+    top = min(1.08 * lift_v, MAX_INPUT_V)
     ramp = Signal(shape="sawtooth", offset=top / 2, amplitude=top / 2, period=ticks(3.0))
     keep("ramp", "sawtooth", bench.open_loop(ramp, ticks(9.4)))
-    high, low = min(1.2 * lift_v, INPUT_MOST_V), 0.1 * lift_v
+    high, low = min(1.2 * lift_v, MAX_INPUT_V), 0.1 * lift_v
     chips = Signal(shape="prbs", offset=(high + low) / 2, amplitude=(high - low) / 2, period=15, seed=_any_seed(rng))
     keep("open_loop", "prbs", bench.open_loop(chips, ticks(6.0)))
 
@@ -236,7 +236,7 @@ def play(
 
 def contact_share(recorded: list[Recorded], rig: PlantConstants) -> float:
     """Share of the closed-loop samples that are at a stop, 0 to 1."""
-    x = np.concatenate([one.rows[:, 3] for one in recorded if one.kind == "closed-loop"])
+    x = np.concatenate([recording.rows[:, 3] for recording in recorded if recording.kind == "closed-loop"])
     return float(np.mean((x < 0.03 * rig.travel_m) | (x > 0.97 * rig.travel_m)))
 
 
@@ -265,10 +265,10 @@ def write_campaign(
         f"gains = [{gains}]",
         f"operating_point = {{ i_c_a = {i_0:.6g}, x_m = {MIDDLE_M}, u_c_v = {u_0:.6g} }}",
     ]
-    for one in recorded:
-        file = f"{one.name}.csv.gz"
-        (folder / file).write_bytes(_csv(one.rows))
-        lines += ["[[recording]]", f'file = "{file}"', f'kind = "{one.kind}"', f'use = "{one.use}"']
+    for recording in recorded:
+        file = f"{recording.name}.csv.gz"
+        (folder / file).write_bytes(_csv(recording.rows))
+        lines += ["[[recording]]", f'file = "{file}"', f'kind = "{recording.kind}"', f'use = "{recording.use}"']
     (folder / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -305,17 +305,17 @@ class EmulatedBench:
     def capture(self, u_from_v: float, u_to_v: float) -> FloatArray:
         self._mode(Mode.OPEN_LOOP)
         began = self._lab.firmware.next_tick + 10  # rule 12: u_from for 20 ms before the first sample
-        one = self._lab.capture(u_from_v, u_to_v, pre=CAPTURE_PRE, count=CAPTURE_COUNT)
+        capture = self._lab.capture(u_from_v, u_to_v, pre=CAPTURE_PRE, count=CAPTURE_COUNT)
         self._forget()
         t = began * TICK_S + CAPTURE_S * np.arange(CAPTURE_COUNT)
-        u = np.where(np.arange(CAPTURE_COUNT) < one.step_index, one.u_from_v, one.u_to_v)
-        return np.column_stack((t, u, one.i_c_a))
+        u = np.where(np.arange(CAPTURE_COUNT) < capture.step_index, capture.u_from_v, capture.u_to_v)
+        return np.column_stack((t, u, capture.i_c_a))
 
     def change(self, effects: Mapping[str, float]) -> None:
         self._lab.plant.set_effects(effects)
 
     def _mode(self, mode: Mode) -> None:
-        self._lab.ask("SET_MODE", mode=int(mode))
+        self._lab.request("SET_MODE", mode=int(mode))
 
     def _excite(self, signal: Signal, *, on_reference: bool) -> None:
         scale = POSITION if on_reference else INPUT
@@ -356,7 +356,7 @@ def _lift_off_input(bench: Bench) -> float:
     """Input at which the ball leaves, V, found as an operator does: raised until it goes."""
     bench.open_loop(Signal(shape="none", offset=0.0), 100)
     rest = None
-    for u in np.arange(2.4, INPUT_MOST_V, 0.05):
+    for u in np.arange(2.4, MAX_INPUT_V, 0.05):
         rows = bench.open_loop(Signal(shape="none", offset=float(u)), 25)
         x = float(np.median(rows[-10:, 3]))
         rest = x if rest is None else rest

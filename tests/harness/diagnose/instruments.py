@@ -41,22 +41,22 @@ def worse(folder: Path, files: str, *, seed: int = 0, **channels: Instrument) ->
         height = rows[:, names.index("x")] if "x" in names else np.zeros(len(rows))
         for channel, instrument in channels.items():
             if channel in names:
-                place = names.index(channel)
-                rows[:, place] = _read(rows[:, place], height, instrument, rng)
+                index = names.index(channel)
+                rows[:, index] = _read(rows[:, index], height, instrument, rng)
         text = "\n".join([",".join(names), *(",".join(f"{cell:.9g}" for cell in row) for row in rows)])
         path.write_bytes(gzip.compress(text.encode(), mtime=0))
 
 
-def _read(values: FloatArray, height: FloatArray, one: Instrument, rng: np.random.Generator) -> FloatArray:
+def _read(values: FloatArray, height: FloatArray, instrument: Instrument, rng: np.random.Generator) -> FloatArray:
     n = len(values)
     white = rng.standard_normal(n)
-    if np.isfinite(one.tail):
-        white = rng.standard_t(one.tail, n) * np.sqrt((one.tail - 2.0) / one.tail)
-    if one.colour:
+    if np.isfinite(instrument.tail):
+        white = rng.standard_t(instrument.tail, n) * np.sqrt((instrument.tail - 2.0) / instrument.tail)
+    if instrument.colour:
         for k in range(1, n):
-            white[k] = one.colour * white[k - 1] + np.sqrt(1.0 - one.colour**2) * white[k]
-    shown = values + white * (one.noise + one.slope * height)
-    wild = rng.random(n) < one.outlier_share
-    shown[wild] += one.outlier_size * rng.choice((-1.0, 1.0), int(wild.sum()))
-    shown = np.maximum(shown, one.lowest)
-    return np.asarray(one.count * np.round(shown / one.count) if one.count else shown)
+            white[k] = instrument.colour * white[k - 1] + np.sqrt(1.0 - instrument.colour**2) * white[k]
+    readings = values + white * (instrument.noise + instrument.slope * height)
+    wild = rng.random(n) < instrument.outlier_share
+    readings[wild] += instrument.outlier_size * rng.choice((-1.0, 1.0), int(wild.sum()))
+    readings = np.maximum(readings, instrument.lowest)
+    return np.asarray(instrument.count * np.round(readings / instrument.count) if instrument.count else readings)

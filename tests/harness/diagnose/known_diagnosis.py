@@ -58,13 +58,19 @@ def fit_of(theta: Theta, loglik: float) -> Fit:
 
 
 def diagnosis(
-    cause: str, value: float, *, judged: bool = True, extended: bool = True, quick: bool = False, seconds: float = 8.0
+    cause: str,
+    value: float,
+    *,
+    has_judges: bool = True,
+    extended: bool = True,
+    quick: bool = False,
+    seconds: float = 8.0,
 ) -> Diagnosis:
     """Of a rig with that cause; `extended`: whether it was found."""
     rig = strong(cause, value, QUIET)
     baseline = replace(QUIET, process_a_m_s2=LARGE_M_S2)
     fit = gather([steps(rig, seed=1, seconds=seconds)], PLANT)
-    judge = gather([steps(rig, seed=2, use="judge", seconds=seconds)], PLANT) if judged else None
+    judge = gather([steps(rig, seed=2, use="judge", seconds=seconds)], PLANT) if has_judges else None
     after = rig if extended else baseline
     criterion = Criterion(fit, PLANT, TICK_S, workers=1)
     logliks = [criterion.value(theta) for theta in (baseline, after)]
@@ -78,16 +84,24 @@ def diagnosis(
         counts=(len(fit.series), len(fit.series)),
     )
     spread = {name: 0.01 * abs(rig.value(name)) for name in coordinates_of(cause)}
-    own = Trial(cause=cause, fit=after_fit, gain=logliks[1] - logliks[0])
+    trial = Trial(cause=cause, fit=after_fit, gain=logliks[1] - logliks[0])
     score = Score(
-        cause=cause, probe=value, gain=own.gain, step=1.0, z=9.0, detectable=9.0, visible=1.0, moves=(), other_values=()
+        cause=cause,
+        probe=value,
+        gain=trial.gain,
+        step=1.0,
+        z=9.0,
+        detectable=9.0,
+        visible=1.0,
+        moves=(),
+        other_values=(),
     )
     selection = Selection(
         base=before_fit,
         fit=after_fit,
         causes=(cause,) if extended else (),
-        gains={cause: own.gain},
-        rounds=(Round(scores=(score,), trials=(own,), selected=cause if extended else "", best=own),),
+        gains={cause: trial.gain},
+        rounds=(Round(scores=(score,), trials=(trial,), selected=cause if extended else "", best=trial),),
     )
     account = account_of(selection, floor.excess(logliks[1]), extended)
     records = fit.records
@@ -95,8 +109,8 @@ def diagnosis(
     if judge is not None:
         yardstick = Yardstick(judge=judge, floor=floor, plant=PLANT, tick_s=TICK_S, seed=0)
         made = (yardstick.gain(baseline, after, max(round(h / TICK_S), 1)) for h in HORIZONS_S)
-        gains = [one for one in made if one is not None]
-    found = Diagnosis(
+        gains = [gain for gain in made if gain is not None]
+    result = Diagnosis(
         verdict="causes-found" if extended else "unknown-cause",
         headline="",
         sentence="",
@@ -109,7 +123,7 @@ def diagnosis(
         account=account,
         unexplained_where="" if extended else "most in x in steps_1",
         gains=tuple(gains),
-        gain=next((one for one in gains if abs(one.horizon_s - 0.02) < 1e-3), None),
+        gain=next((gain for gain in gains if abs(gain.horizon_s - 0.02) < 1e-3), None),
         baseline=model_of(
             campaign(), before_fit, {}, records, floor.excess(before_fit.loglik), "the paper's model at its best"
         ),
@@ -125,7 +139,7 @@ def diagnosis(
         after=after,
         tick_s=TICK_S,
     )
-    return replace(found, headline=headline_of(found, blind=False, off=""), sentence=summary_sentence(found))
+    return replace(result, headline=headline_of(result, blind=False, off=""), sentence=summary_sentence(result))
 
 
 def _finding(cause: str, fit: Fit, spread: dict[str, float], share: float, gain: float) -> Finding:

@@ -19,7 +19,7 @@ class Outside:
 
     strength: float
     unit: str
-    about: str
+    meaning: str
     cause: str = ""  # of the catalogue that is right for it
     may_be_adequate: bool = False  # a diagnosis that leaves the damaged samples out finds a right model
 
@@ -29,55 +29,55 @@ OUTSIDE: Mapping[str, Outside] = MappingProxyType(
         "force-hysteresis": Outside(
             strength=0.03,
             unit="A",
-            about="the field follows the current with a play of this half width: a loop of remanence, not an offset",
+            meaning="the field follows the current with a play of this half width: a loop of remanence, not an offset",
             cause="magnetic-hysteresis",
         ),
         "sensor-sticks": Outside(
-            strength=40e-6, unit="m", about="the reading moves only when x has moved by this much (a worn guide)"
+            strength=40e-6, unit="m", meaning="the reading moves only when x has moved by this much (a worn guide)"
         ),
         "sensor-warm-up": Outside(
-            strength=250e-6, unit="m", about="x reads too high by this much after a warm-up of 40 s, 0 at the start"
+            strength=250e-6, unit="m", meaning="x reads too high by this much after a warm-up of 40 s, 0 at the start"
         ),
         "wire-spring": Outside(
             strength=1.5e6,
             unit="N/m^3",
-            about="a wire on the ball: slack below 2.5 mm, then a force down with the cube of the way",
+            meaning="a wire on the ball: slack below 2.5 mm, then a force down with the cube of the way",
         ),
         "lateral-resonance": Outside(
             strength=1.1,
             unit="",
-            about="the ball swings sideways at 35 Hz, driven by its acceleration, and the sensor takes it for height",
+            meaning="the ball swings sideways at 35 Hz, driven by its acceleration, and the sensor takes it for height",
         ),
         "sensor-hum": Outside(
             strength=20e-6,
             unit="m",
-            about="the reading of x swings by this much at 50 Hz, the mains",
+            meaning="the reading of x swings by this much at 50 Hz, the mains",
             cause="position-sensor-line",
         ),
         "spring-of-a-cable": Outside(
-            strength=5.0, unit="N/m", about="the cable of the rig hangs on the ball: a force down, in proportion to x"
+            strength=5.0, unit="N/m", meaning="the cable of the rig hangs on the ball: a force down, in proportion to x"
         ),
         "supply-sag": Outside(
             strength=0.08,
             unit="1/A",
-            about="the supply gives in under load, within 1.5 s: K_A falls with the current",
+            meaning="the supply gives in under load, within 1.5 s: K_A falls with the current",
             cause="amplifier-gain-drift",
         ),
         "supply-ripple": Outside(
-            strength=0.04, unit="", about="the amplifier's gain swings by this share at 100 Hz, twice the mains"
+            strength=0.04, unit="", meaning="the amplifier's gain swings by this share at 100 Hz, twice the mains"
         ),
         "friction-patch": Outside(
-            strength=0.006, unit="N", about="dry friction between 2.25 and 2.55 mm only: a scratch in the guide"
+            strength=0.006, unit="N", meaning="dry friction between 2.25 and 2.55 mm only: a scratch in the guide"
         ),
         "loose-contact": Outside(
             strength=0.04,
             unit="",
-            about="the gain of the amplifier falls by this share and comes back, at random times",
+            meaning="the gain of the amplifier falls by this share and comes back, at random times",
         ),
         "bit-errors": Outside(
             strength=0.01,
             unit="",
-            about="with this probability per sample one of bits 4 to 8 of x is wrong, for the law too",
+            meaning="with this probability per sample one of bits 4 to 8 of x is wrong, for the law too",
             may_be_adequate=True,
         ),
     }

@@ -30,7 +30,7 @@ from twin.model.causes.cause import Cause
 from twin.settings import diagnosis as settings
 
 # What the functions below compute by; all other settings decide about what they return.
-INSIDE = (
+COMPUTE_SETTINGS = (
     "STOP_STD_M",
     "EXACT_SLOPES_SQUARE",
     "BENEFIT_HORIZON_S",
@@ -95,22 +95,22 @@ def remembered() -> Iterator[None]:
     try:
         yield
     finally:
-        for place, name, original in before:
-            setattr(place, name, original)
+        for holder, name, original in before:
+            setattr(holder, name, original)
         _DIGESTS.clear()
         _ALIVE.clear()
 
 
 def _once(work: Callable[..., Any], known: dict[Any, Any]) -> Callable[..., Any]:
     def answer(*args: Any, **named: Any) -> Any:
-        criterion = next((one for one in args if isinstance(one, Criterion)), None)
+        criterion = next((item for item in args if isinstance(item, Criterion)), None)
         if criterion is not None and type(criterion) is not Criterion:
             return work(*args, **named)  # it switches causes on and off: the recordings do not tell how
         key = (
             work.__qualname__,
-            tuple(getattr(settings, name) for name in INSIDE),
-            tuple(_key(one) for one in args),
-            tuple((name, _key(one)) for name, one in sorted(named.items())),
+            tuple(getattr(settings, name) for name in COMPUTE_SETTINGS),
+            tuple(_key(item) for item in args),
+            tuple((name, _key(item)) for name, item in sorted(named.items())),
         )
         if key in known:
             result, steps = known[key]
@@ -129,7 +129,7 @@ def _fresh(result: Any) -> Any:
     """Lists of its own for each caller, who may append to them."""
     if isinstance(result, list):
         return list(result)
-    return tuple(_fresh(one) for one in result) if type(result) is tuple else result
+    return tuple(_fresh(item) for item in result) if type(result) is tuple else result
 
 
 def _key(value: Any) -> Any:
@@ -137,7 +137,7 @@ def _key(value: Any) -> Any:
     if isinstance(value, Criterion):
         return "criterion", value.tick_s, _digest(value, value.evidence)
     if isinstance(value, Yardstick):
-        return tuple(_key(one) for one in (value.judge, value.floor, value.plant, value.tick_s, value.seed))
+        return tuple(_key(item) for item in (value.judge, value.floor, value.plant, value.tick_s, value.seed))
     if isinstance(value, Fit):
         return "fit", value.theta, value.free
     if isinstance(value, Cause):
@@ -148,7 +148,7 @@ def _key(value: Any) -> Any:
     if hasattr(value, "series"):
         return "evidence", _digest(value, value)
     if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
-        return tuple(_key(one) for one in value)
+        return tuple(_key(item) for item in value)
     return value if _hashable(value) else repr(value)
 
 

@@ -22,9 +22,9 @@ from typing import Any
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.curve import CURVES
 
-CLASS_MOST = 3
+MAX_CLASS = 3
 FAMILIES = {cause.name: cause.family for cause in (*CATALOGUE, *CURVES)}
-ADEQUATE, UNKNOWN, FOUND = "model-adequate", "unknown-cause", "causes-found"
+ADEQUATE, UNKNOWN, CAUSES_FOUND = "model-adequate", "unknown-cause", "causes-found"
 NOT_IN_THE_DATA = "not-in-the-data"
 
 
@@ -58,13 +58,13 @@ class Judgement:
 
     right: bool | None  # the campaign's own question answered; None: said to be not testable, or not in the data
     first: bool  # singles: the truth is the first name itself
-    said: str  # column of the confusion matrix
-    found: int = 0  # truths in any class
+    column: str  # column of the confusion matrix
+    hits: int = 0  # truths in any class
     truths: int = 0
     false_names: int = 0  # named causes whose class holds no truth
     confidence: float | None = None  # of the first cause
     removed: float | None = None  # share of the error above the noise floor that the extension removes on judge data
-    place: bool | None = None  # of `knock-out`: what is left is sought in the right part of the loop
+    in_family: bool | None = None  # of `knock-out`: what is left is sought in the right part of the loop
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +132,7 @@ def read_answer(diagnosis: Mapping[str, Any]) -> Answer:
         ),
         not_testable=tuple(entry["name"] for entry in diagnosis.get("not_testable", ())),
         minor_effects=tuple(
-            (one["name"], float(one["log_likelihood_gain"])) for one in diagnosis.get("minor_effects", ())
+            (effect["name"], float(effect["log_likelihood_gain"])) for effect in diagnosis.get("minor_effects", ())
         ),
         baseline_rmse_m=number("baseline_rmse_m"),
         extended_rmse_m=number("extended_rmse_m"),
@@ -154,7 +154,7 @@ def judge(
     """
     learnt = part == "outside" and set(truths) <= FAMILIES.keys()
     known = set(truths) if part in ("causes", "composites", "gateway", "forms") or learnt else set()
-    found = {truth for truth in known if any(truth in _class(cause) for cause in answer.causes)}
+    hits = {truth for truth in known if any(truth in _class(cause) for cause in answer.causes)}
     false_names = sum(not (known & set(_class(cause))) for cause in answer.causes)
     confidence = answer.causes[0].confidence if answer.causes else math.nan
     first = bool(answer.causes) and answer.causes[0].name in known
@@ -166,7 +166,7 @@ def judge(
     elif part == "knock-out":
         right = not answer.causes
     elif part == "composites":
-        right = found == known
+        right = hits == known
     else:
         right = bool(answer.causes) and bool(known & set(_class(answer.causes[0])))
         adequate = answer.verdict == ADEQUATE and not answer.causes
@@ -175,13 +175,13 @@ def judge(
     return Judgement(
         right=right,
         first=first,
-        said=_said(known, answer) if in_the_data or right is not None else NOT_IN_THE_DATA,
-        found=len(found),
+        column=_column(known, answer) if in_the_data or right is not None else NOT_IN_THE_DATA,
+        hits=len(hits),
         truths=len(known),
         false_names=false_names,
         confidence=None if math.isnan(confidence) else confidence,
         removed=removed_share(answer),
-        place=answer.family == FAMILIES[truths[0]] if part == "knock-out" and answer.family else None,
+        in_family=answer.family == FAMILIES[truths[0]] if part == "knock-out" and answer.family else None,
     )
 
 
@@ -200,14 +200,14 @@ def removed_share(answer: Answer) -> float | None:
 
 def _class(cause: Named) -> tuple[str, ...]:
     """What the cause stands for; a class of more than 3 stands for its name alone."""
-    return cause.members if len(cause.members) <= CLASS_MOST else (cause.name,)
+    return cause.members if len(cause.members) <= MAX_CLASS else (cause.name,)
 
 
-def _said(known: set[str], answer: Answer) -> str:
+def _column(known: set[str], answer: Answer) -> str:
     """Column of the confusion matrix: the truth where the first class has it, else the first name, else the verdict."""
     if not known and answer.verdict == UNKNOWN:
         return UNKNOWN
     if not answer.causes:
         return "not-testable" if known and known <= set(answer.not_testable) else answer.verdict
-    inside = known & set(_class(answer.causes[0]))
-    return min(inside) if inside else answer.causes[0].name
+    named = known & set(_class(answer.causes[0]))
+    return min(named) if named else answer.causes[0].name

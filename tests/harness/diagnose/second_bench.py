@@ -58,7 +58,7 @@ class SecondBench:
         outside: Mapping[str, float] | None = None,
     ) -> None:
         self._rig, self._believed = rig, believed
-        self._own, noise, chance = np.random.SeedSequence([22, seed]).spawn(3)
+        self._seed, noise, chance = np.random.SeedSequence([22, seed]).spawn(3)
         self._noise, self._chance = np.random.default_rng(noise), np.random.default_rng(chance)
         self._outside = dict(outside or {})
         self._bit_error_rate = self._outside.pop("bit-errors", 0.0)
@@ -76,7 +76,7 @@ class SecondBench:
             ]
         )
         self._memory = np.zeros(3)
-        self._place(0.0, 0.0)
+        self._start_at(0.0, 0.0)
 
     def idle(self, ticks: int) -> FloatArray:
         return self._run(np.zeros(ticks), closed=False)
@@ -85,7 +85,7 @@ class SecondBench:
         return self._run(np.clip(on_grid(wave(signal, ticks), INPUT_DAC), 0.0, 5.0), closed=False)
 
     def fly(self, x_m: float) -> None:
-        self._place(x_m, self._believed.equilibrium_current_a(x_m))
+        self._start_at(x_m, self._believed.equilibrium_current_a(x_m))
         self._u = self._believed.equilibrium_input_v(x_m)
         self._memory[:] = 0.0
 
@@ -105,9 +105,9 @@ class SecondBench:
 
     def change(self, effects: Mapping[str, float]) -> None:
         self._loss = effects.get("lost-samples", 0.0)
-        self._c = numbers(self._rig, effects, self._outside, np.random.default_rng(self._own))
+        self._c = numbers(self._rig, effects, self._outside, np.random.default_rng(self._seed))
 
-    def _place(self, x_m: float, i_a: float) -> None:
+    def _start_at(self, x_m: float, i_a: float) -> None:
         y = self._y
         y[COIL] = y[F] = y[H] = i_a
         y[X], y[V], y[Q], y[QV] = x_m, 0.0, 0.0, 0.0
@@ -146,16 +146,16 @@ class SecondBench:
 
 
 def numbers(
-    rig: PlantConstants, effects: Mapping[str, float], outside: Mapping[str, float], own: np.random.Generator
+    rig: PlantConstants, effects: Mapping[str, float], outside: Mapping[str, float], rng: np.random.Generator
 ) -> Numbers:
-    """The constants of the equations; `own` draws what is the rig's own."""
+    """The constants of the equations; `rng` draws what is the rig's own."""
     unknown = set(effects) - NAMES
     assert not unknown, unknown
 
     def strength(name: str, neutral: float = 0.0) -> float:
         return float(effects.get(name, neutral))
 
-    heating_s, shake_hz, shake_phase = own.uniform(20.0, 45.0), own.uniform(5.0, 11.0), own.uniform(0.0, 2.0 * math.pi)
+    heating_s, shake_hz, shake_phase = rng.uniform(20.0, 45.0), rng.uniform(5.0, 11.0), rng.uniform(0.0, 2.0 * math.pi)
     saturation = strength("core-saturation", math.inf)
     plane = rig.travel_m + rig.coil_plane_above_stop_m
     return Numbers(
@@ -169,7 +169,7 @@ def numbers(
         T_A=rig.amplifier_time_constant_s,
         b=rig.drag_n_s_m,
         bounce=rig.restitution,
-        i_most=min(rig.current_max_a, strength("current-limit", math.inf)),
+        i_max=min(rig.current_max_a, strength("current-limit", math.inf)),
         loss=strength("amplifier-gain-drift"),
         heating_s=float(heating_s),
         slew=strength("slew-rate-limit", math.inf),
@@ -231,11 +231,11 @@ def wave(signal: Signal, ticks: int) -> FloatArray:
     """The signal tick by tick, in its own unit, shape (ticks,)."""
     s = np.arange(ticks)
     rng = np.random.default_rng([33, signal.seed])
-    place = (s % signal.period) / signal.period
+    phase = (s % signal.period) / signal.period
     if signal.shape == "rectangle":
-        shape = np.where(place < 0.5, 1.0, -1.0)
+        shape = np.where(phase < 0.5, 1.0, -1.0)
     elif signal.shape == "sawtooth":
-        shape = 2.0 * place - 1.0
+        shape = 2.0 * phase - 1.0
     elif signal.shape == "prbs":
         shape = rng.choice((-1.0, 1.0), ticks // signal.period + 1)[s // signal.period]
     elif signal.shape == "multisine":

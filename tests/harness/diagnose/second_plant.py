@@ -68,7 +68,7 @@ class Numbers(NamedTuple):
     T_A: float
     b: float
     bounce: float
-    i_most: float
+    i_max: float
     loss: float
     heating_s: float
     slew: float
@@ -166,14 +166,14 @@ def pass_time(
             gain *= 1.0 - c.contact
         gain *= 1.0 - c.sag * y[LOAD]
         goal = gain * max(drive - c.dead_zone, 0.0) + c.amplifier_offset
-        goal = min(max(goal, 0.0), c.i_most)
+        goal = min(max(goal, 0.0), c.i_max)
         goal -= c.emf * i * v * (c.gap_mid / gap) ** 2
         if c.growth != 0.0:
             bottom, top = 1.0 / c.plane, 1.0 / (c.plane - c.travel)
             decay = math.exp(-h / (c.T_A * (1.0 + c.growth * (1.0 / gap - bottom) / (top - bottom))))
         change = (goal - i) * (1.0 - decay)
         change = min(max(change, -c.slew * h), c.slew * h)
-        i_new = min(i + change, max(c.i_most, i))
+        i_new = min(i + change, max(c.i_max, i))
         i_mean = 0.5 * (i + i_new)
         y[COIL] = i_new
         y[W] += h / c.heating_s * (i_mean * i_mean - y[W])
@@ -306,10 +306,10 @@ def run_ticks(
         if closed:
             speed = (x_m - memory[1]) / TICK_S if memory[2] > 0.0 else 0.0
             e = signal[n] - x_m
-            wanted = law[6] - (law[0] * (i_m - law[4]) + law[1] * (x_m - law[5]) + law[2] * speed + law[3] * memory[0])
-            u = convert(min(max(wanted, 0.0), 5.0), INPUT_DAC[0], INPUT_DAC[1])
+            demand = law[6] - (law[0] * (i_m - law[4]) + law[1] * (x_m - law[5]) + law[2] * speed + law[3] * memory[0])
+            u = convert(min(max(demand, 0.0), 5.0), INPUT_DAC[0], INPUT_DAC[1])
             # the integral rests while it would push further into the limit; more of it means more input
-            if not ((wanted > 5.0 and -law[3] * e > 0.0) or (wanted < 0.0 and -law[3] * e < 0.0)):
+            if not ((demand > 5.0 and -law[3] * e > 0.0) or (demand < 0.0 and -law[3] * e < 0.0)):
                 memory[0] += e * TICK_S
             memory[1], memory[2] = x_m, 1.0
         else:

@@ -94,39 +94,39 @@ def play(hidden: Hidden, *, full: bool) -> dict[str, Any]:
             for label, name, factor in variants(full):
                 with varied(name, factor):
                     options = Options(quick=not full, share=settings.MIN_SHARE, workers=1)
-                    found = diagnose_records(campaign, records, judges, options)
-                row["answers"][label] = _judged(hidden, read_answer(json.loads(json.dumps(to_json(found)))))
+                    result = diagnose_records(campaign, records, judges, options)
+                row["answers"][label] = _judgement(hidden, read_answer(json.loads(json.dumps(to_json(result)))))
     return row
 
 
-def _judged(hidden: Hidden, answer: Answer) -> dict[str, Any]:
+def _judgement(hidden: Hidden, answer: Answer) -> dict[str, Any]:
     lenient = any(OUTSIDE[name].may_be_adequate for name in hidden.outside)
     truths = (*hidden.effects, *(OUTSIDE[name].cause or name for name in hidden.outside))
-    judged = judge(hidden.part, truths, answer, may_be_adequate=lenient)
+    judgement = judge(hidden.part, truths, answer, may_be_adequate=lenient)
     return {
         "verdict": answer.verdict,
         "named": [cause.name for cause in answer.causes],
-        "right": judged.right,
-        "found": judged.found,
-        "truths": judged.truths,
-        "false_names": judged.false_names,
+        "right": judgement.right,
+        "found": judgement.hits,
+        "truths": judgement.truths,
+        "false_names": judgement.false_names,
     }
 
 
 def draw() -> Iterator[tuple[Part, int]]:
     """(part, seed) without end."""
-    done = dict.fromkeys((part for part, _ in TURN), 0)
+    counts = dict.fromkeys((part for part, _ in TURN), 0)
     while True:
         for part, count in TURN:
             for _ in range(count):
-                yield part, FIRST + done[part]
-                done[part] += 1
+                yield part, FIRST + counts[part]
+                counts[part] += 1
 
 
 def table(rows: list[Mapping[str, Any]], full: bool) -> str:
     """Markdown: each variant that changes an answer, with 95 % intervals after Wilson for the program as it is."""
     rows = [row for row in rows if row["full"] == full and row.get("answers")]
-    by = {part: [row for row in rows if row["part"] == part] for part, _ in TURN}
+    rows_of = {part: [row for row in rows if row["part"] == part] for part, _ in TURN}
     lines, same = [], []
     head = [
         "| setting | one cause: right | its false names | nothing hidden: false names | unknown-cause "
@@ -137,20 +137,20 @@ def table(rows: list[Mapping[str, Any]], full: bool) -> str:
         if label != AS_IT_IS and all(_same(row["answers"][label], row["answers"][AS_IT_IS]) for row in rows):
             same.append(label)
             continue
-        said = {part: [row["answers"][label] for row in by[part]] for part in by}
-        asked = [one for one in said["causes"] if one["right"] is not None]
-        nulls, outside, several = said["nulls"], said["outside"], said["composites"]
+        answers = {part: [row["answers"][label] for row in rows_of[part]] for part in rows_of}
+        tested = [answer for answer in answers["causes"] if answer["right"] is not None]
+        nulls, outside, several = answers["nulls"], answers["outside"], answers["composites"]
         cells = (
-            (sum(one["right"] for one in asked), len(asked)),
-            (sum(one["false_names"] > 0 for one in asked), len(asked)),
-            (sum(bool(one["named"]) for one in nulls), len(nulls)),
-            (sum(one["verdict"] == UNKNOWN for one in nulls), len(nulls)),
-            (sum(bool(one["named"]) and one["verdict"] != UNKNOWN for one in outside), len(outside)),
-            (sum(one["found"] for one in several), sum(one["truths"] for one in several)),
-            (sum(one["false_names"] > 0 for one in several), len(several)),
+            (sum(answer["right"] for answer in tested), len(tested)),
+            (sum(answer["false_names"] > 0 for answer in tested), len(tested)),
+            (sum(bool(answer["named"]) for answer in nulls), len(nulls)),
+            (sum(answer["verdict"] == UNKNOWN for answer in nulls), len(nulls)),
+            (sum(bool(answer["named"]) and answer["verdict"] != UNKNOWN for answer in outside), len(outside)),
+            (sum(answer["found"] for answer in several), sum(answer["truths"] for answer in several)),
+            (sum(answer["false_names"] > 0 for answer in several), len(several)),
         )
         lines.append(f"| {label} | " + " | ".join(_cell(*cell, wide=label == AS_IT_IS) for cell in cells) + " |")
-    played = ", ".join(f"{len(by[part])} {part}" for part in by)
+    played = ", ".join(f"{len(rows_of[part])} {part}" for part in rows_of)
     both = [
         label.split()[0] for label in same if label.endswith("halved") and label.replace("halved", "doubled") in same
     ]
@@ -158,8 +158,8 @@ def table(rows: list[Mapping[str, Any]], full: bool) -> str:
     return "\n".join([played, "", *head, *lines, "", f"No answer changes: {', '.join(same)}."])
 
 
-def _same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    return bool(one["verdict"] == other["verdict"] and one["named"] == other["named"])
+def _same(first: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    return bool(first["verdict"] == other["verdict"] and first["named"] == other["named"])
 
 
 def _cell(hits: int, count: int, *, wide: bool) -> str:
@@ -173,12 +173,12 @@ def changes(rows: list[Mapping[str, Any]], full: bool) -> str:
     for row in rows:
         if row["full"] != full or not row.get("answers"):
             continue
-        here = row["answers"][AS_IT_IS]
-        for label, said in row["answers"].items():
-            if not _same(said, here):
+        base = row["answers"][AS_IT_IS]
+        for label, answer in row["answers"].items():
+            if not _same(answer, base):
                 lines.append(
                     f"{row['part']} {row['seed']} ({', '.join(row['truths']) or 'nothing'}): "
-                    f"{here['verdict']} {here['named']} -> {label}: {said['verdict']} {said['named']}"
+                    f"{base['verdict']} {base['named']} -> {label}: {answer['verdict']} {answer['named']}"
                 )
     return "\n".join(lines)
 
@@ -204,9 +204,9 @@ def main() -> None:
         rows.append(row)
         with args.results.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
-        said = row["answers"].get(AS_IT_IS, {})
+        answer = row["answers"].get(AS_IT_IS, {})
         took = time.monotonic() - began
-        print(f"{part} {seed}: {said.get('verdict')} {said.get('named')} ({took:.0f} s)", flush=True)
+        print(f"{part} {seed}: {answer.get('verdict')} {answer.get('named')} ({took:.0f} s)", flush=True)
     print(table(rows, args.full))
     if args.changes:
         print(changes(rows, args.full))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
 
-from tests.harness.diagnose.scoring import ADEQUATE, FOUND, NOT_IN_THE_DATA, UNKNOWN, Judgement, Outcome
+from tests.harness.diagnose.scoring import ADEQUATE, CAUSES_FOUND, NOT_IN_THE_DATA, UNKNOWN, Judgement, Outcome
 
 Z95 = 1.959964
 CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.9, 0.95, 0.99, 1.0)
@@ -49,7 +49,7 @@ def wilson(hits: int, count: int) -> tuple[float, float]:
 
 
 def _besides(uncounted: Sequence[Judgement]) -> str:
-    absent = sum(j.said == NOT_IN_THE_DATA for j in uncounted)
+    absent = sum(j.column == NOT_IN_THE_DATA for j in uncounted)
     return f"besides: {len(uncounted) - absent} said to be not testable, {absent} not in the data"
 
 
@@ -63,16 +63,16 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
 
     causes = part("causes")
     for grade in ("strong", "medium", "weak"):
-        asked = [(o, j) for o, j in causes if o.grade == grade]
-        can = [(o, j) for o, j in asked if j.right is not None]
-        if asked:
+        graded = [(o, j) for o, j in causes if o.grade == grade]
+        can = [(o, j) for o, j in graded if j.right is not None]
+        if graded:
             result += [
                 Rate(
                     name=f"{grade}: right (first, or in a class of at most 3)",
                     hits=sum(j.right is True for _, j in can),
                     count=len(can),
                     target=_TARGET.get(grade),
-                    note=_besides([j for _, j in asked if j.right is None]),
+                    note=_besides([j for _, j in graded if j.right is None]),
                 ),
                 Rate(name=f"{grade}: first", hits=sum(j.first for _, j in can), count=len(can)),
             ]
@@ -95,7 +95,7 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
         result.append(Rate(name="through the gateway, strong: right", hits=hits, count=len(carried), target=0.95))
     nulls = part("nulls")
     if nulls:
-        named = sum(o.verdict == FOUND for o, _ in nulls)
+        named = sum(o.verdict == CAUSES_FOUND for o, _ in nulls)
         result.append(
             Rate(
                 name="nothing hidden: false alarm",
@@ -109,7 +109,9 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
     if outside:
         result += [
             Rate(name="outside: honest", hits=sum(j.right is True for _, j in outside), count=len(outside), target=0.9),
-            Rate(name="outside: false name", hits=sum(o.verdict == FOUND for o, _ in outside), count=len(outside)),
+            Rate(
+                name="outside: false name", hits=sum(o.verdict == CAUSES_FOUND for o, _ in outside), count=len(outside)
+            ),
             Rate(
                 name="outside: honest, with confounders listed",
                 hits=sum(o.verdict == UNKNOWN and bool(o.named) for o, _ in outside),
@@ -123,7 +125,7 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
         ]
     forms = [(o, j) for o, j in part("forms") if j.right is not None]
     if forms:
-        wrong = sum(o.verdict == FOUND and (j.right is not True or j.false_names > 0) for o, j in forms)
+        wrong = sum(o.verdict == CAUSES_FOUND and (j.right is not True or j.false_names > 0) for o, j in forms)
         result += [
             Rate(name="another formula: right", hits=sum(j.right is True for _, j in forms), count=len(forms)),
             Rate(name="another formula: a false name", hits=wrong, count=len(forms), target=0.05),
@@ -141,10 +143,11 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
             ),
             Rate(
                 name="not in the catalogue: the right part of the loop",
-                hits=sum(j.place is True for _, j in noticed),
+                hits=sum(j.in_family is True for _, j in noticed),
                 count=len(noticed),
                 target=0.9,
-                note=f"{len(unknown) - len(noticed)} not noticed, {sum(j.place is None for _, j in noticed)} without",
+                note=f"{len(unknown) - len(noticed)} not noticed, "
+                f"{sum(j.in_family is None for _, j in noticed)} without",
             ),
             Rate(
                 name="not in the catalogue: four fifths of the error above the noise removed",
@@ -154,15 +157,15 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
         ]
     listed = [(o, name) for o, _ in part("composites") for name, _ in o.minor_effects]
     if listed:
-        there = sum(name in o.truths for o, name in listed)
-        result.append(Rate(name="several causes: listed as too small, and there", hits=there, count=len(listed)))
+        present = sum(name in o.truths for o, name in listed)
+        result.append(Rate(name="several causes: listed as too small, and there", hits=present, count=len(listed)))
     for number in (2, 3):
         several = [j for o, j in part("composites") if len(o.truths) == number]
         if several:
             result += [
                 Rate(
                     name=f"{number} causes: truths found",
-                    hits=sum(j.found for j in several),
+                    hits=sum(j.hits for j in several),
                     count=sum(j.truths for j in several),
                     note=f"{sum(j.false_names for j in several)} false names in {len(several)} campaigns",
                 ),
@@ -172,14 +175,14 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
             ]
     broken = [o for o in outcomes if o.status != "answered"]
     if broken:
-        by = Counter(o.status for o in broken)
+        statuses = Counter(o.status for o in broken)
         result.append(
             Rate(
                 name="campaigns without an answer",
                 hits=len(broken),
                 count=len(outcomes),
                 target=0.0,
-                note=", ".join(f"{status} {n}" for status, n in sorted(by.items())),
+                note=", ".join(f"{status} {n}" for status, n in sorted(statuses.items())),
             )
         )
     return result
@@ -204,10 +207,10 @@ def reliability(outcomes: Iterable[Outcome]) -> list[tuple[float, float, Rate]]:
     ]
     table = []
     for low, high in pairwise(CONFIDENCE_EDGES):
-        inside = [(c, right) for c, right in stated if low <= c < high or (high == 1.0 and c >= 1.0)]
-        if inside:
-            mean = sum(c for c, _ in inside) / len(inside)
-            rate = Rate(name=f"{low:g} to {high:g}", hits=sum(right for _, right in inside), count=len(inside))
+        members = [(c, right) for c, right in stated if low <= c < high or (high == 1.0 and c >= 1.0)]
+        if members:
+            mean = sum(c for c, _ in members) / len(members)
+            rate = Rate(name=f"{low:g} to {high:g}", hits=sum(right for _, right in members), count=len(members))
             table.append((mean, high, rate))
     return table
 
@@ -219,19 +222,19 @@ def confusion(outcomes: Iterable[Outcome]) -> dict[str, tuple[int, Counter[str]]
         if o.part == "composites" or o.judgement is None:
             continue
         truth = o.grade if o.part == "forms" else o.truths[0] if o.truths else "none"
-        right, said = table.get(truth, (0, Counter()))
-        said[o.judgement.said] += 1
-        table[truth] = (right + (o.judgement.right is True), said)
+        right, columns = table.get(truth, (0, Counter()))
+        columns[o.judgement.column] += 1
+        table[truth] = (right + (o.judgement.right is True), columns)
     return dict(sorted(table.items()))
 
 
 def seconds(outcomes: Sequence[Outcome]) -> tuple[float, float, float]:
     """(median, largest time of a diagnosis, median time of a recording), s; NaN of nothing."""
-    done = [o for o in outcomes if o.status == "answered"]
-    if not done:
+    answered = [o for o in outcomes if o.status == "answered"]
+    if not answered:
         return (math.nan, math.nan, math.nan)
-    times = [o.diagnose_s for o in done]
-    return (median(times), max(times), median(o.record_s for o in done))
+    times = [o.diagnose_s for o in answered]
+    return (median(times), max(times), median(o.record_s for o in answered))
 
 
 def page(outcomes: Sequence[Outcome]) -> str:
@@ -270,7 +273,7 @@ def page(outcomes: Sequence[Outcome]) -> str:
     matrix = confusion(outcomes)
     if matrix:
         lines += ["", "| hidden | right | what was said first, in its class or as verdict |", "|---|---|---|"]
-        for truth, (right, said) in matrix.items():
-            listed = ", ".join(f"{name} {n}" for name, n in said.most_common())
-            lines.append(f"| {truth} | {right} of {said.total()} | {listed} |")
+        for truth, (right, columns) in matrix.items():
+            listed = ", ".join(f"{name} {n}" for name, n in columns.most_common())
+            lines.append(f"| {truth} | {right} of {columns.total()} | {listed} |")
     return "\n".join(lines) + "\n"

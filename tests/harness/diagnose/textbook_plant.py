@@ -71,7 +71,7 @@ class Constants(NamedTuple):
     T_A: float
     b: float
     bounce: float
-    i_most: float
+    i_max: float
     kind: int
     size: float
 
@@ -94,7 +94,7 @@ def goal_of(u: float, w: float, c: Constants) -> float:
         goal /= (1.0 + (goal / c.size) ** 10) ** 0.1
     elif c.kind == FOLDBACK and goal > c.size:
         goal = c.size - FOLDS_BACK * (goal - c.size)
-    return min(max(goal, 0.0), c.i_most)
+    return min(max(goal, 0.0), c.i_max)
 
 
 @njit
@@ -158,14 +158,14 @@ def rest_of(y: FloatArray, c: Constants) -> None:
 
 
 @njit
-def shown(x: float, c: Constants) -> float:
+def reading(x: float, c: Constants) -> float:
     """What the position sensor tends to, m."""
     if c.kind == SINE:
         return x + c.size * math.sin(2.0 * math.pi * min(max(x / c.travel, 0.0), 1.0))
     if c.kind != CUBIC:
         return x
-    place = 2.0 * min(max(x / c.travel, 0.0), 1.0) - 1.0
-    return x + c.size * 1.5 * math.sqrt(3.0) * (place - place**3)
+    position = 2.0 * min(max(x / c.travel, 0.0), 1.0) - 1.0
+    return x + c.size * 1.5 * math.sqrt(3.0) * (position - position**3)
 
 
 @njit
@@ -186,15 +186,15 @@ def pass_time(
         elif c.kind == INDUCTANCE:
             a = c.mid
             bottom, top = 1.0 / (1.0 + c.plane / a), 1.0 / (1.0 + (c.plane - c.travel) / a)
-            here = 1.0 / (1.0 + gap / a)
-            lag *= 1.0 + c.size * (here - bottom) / (top - bottom)
-            goal -= c.T_A * c.size / (top - bottom) * here * here / a * i * v  # i v dL/dx over R
+            coupling = 1.0 / (1.0 + gap / a)
+            lag *= 1.0 + c.size * (coupling - bottom) / (top - bottom)
+            goal -= c.T_A * c.size / (top - bottom) * coupling * coupling / a * i * v  # i v dL/dx over R
         elif c.kind == INDUCTANCE_EXP:
             a = REACH_OF_EXP * c.mid
             bottom, top = math.exp(-c.plane / a), math.exp(-(c.plane - c.travel) / a)
-            here = math.exp(-gap / a)
-            lag *= 1.0 + c.size * (here - bottom) / (top - bottom)
-            goal -= c.T_A * c.size / (top - bottom) * here / a * i * v  # i v dL/dx over R
+            coupling = math.exp(-gap / a)
+            lag *= 1.0 + c.size * (coupling - bottom) / (top - bottom)
+            goal -= c.T_A * c.size / (top - bottom) * coupling / a * i * v  # i v dL/dx over R
         if c.kind in (CURRENT_TWO, CREEPS):
             y[SLOW] += (goal - y[SLOW]) * (1.0 - math.exp(-h / lag))
             y[FAST] += (goal - y[FAST]) * (1.0 - math.exp(-h / c.size))
@@ -241,7 +241,7 @@ def pass_time(
             y[S2] += share * (y[S1] - y[S2])
             y[S] += share * (y[S2] - y[S])
         else:
-            y[S] = shown(x_new, c)
+            y[S] = reading(x_new, c)
         k += 1
         i_past[k % RING], x_past[k % RING] = y[READ], y[S]
     return k
@@ -262,9 +262,9 @@ def run_ticks(
         if closed:
             speed = (x_m - memory[1]) / TICK_S if memory[2] > 0.0 else 0.0
             e = signal[n] - x_m
-            wanted = law[6] - (law[0] * (i_m - law[4]) + law[1] * (x_m - law[5]) + law[2] * speed + law[3] * memory[0])
-            u = convert(min(max(wanted, 0.0), 5.0), INPUT_DAC[0], INPUT_DAC[1])
-            if not ((wanted > 5.0 and -law[3] * e > 0.0) or (wanted < 0.0 and -law[3] * e < 0.0)):
+            demand = law[6] - (law[0] * (i_m - law[4]) + law[1] * (x_m - law[5]) + law[2] * speed + law[3] * memory[0])
+            u = convert(min(max(demand, 0.0), 5.0), INPUT_DAC[0], INPUT_DAC[1])
+            if not ((demand > 5.0 and -law[3] * e > 0.0) or (demand < 0.0 and -law[3] * e < 0.0)):
                 memory[0] += e * TICK_S
             memory[1], memory[2] = x_m, 1.0
         else:
@@ -305,7 +305,7 @@ class TextbookBench:
     def fly(self, x_m: float) -> None:
         y = self._y
         y[COIL], y[X], y[V] = self._believed.equilibrium_current_a(x_m), x_m, 0.0
-        y[S] = y[S1] = y[S2] = shown(x_m, self._c)
+        y[S] = y[S1] = y[S2] = reading(x_m, self._c)
         y[SV] = y[Z] = 0.0
         rest_of(y, self._c)
         self._u = self._believed.equilibrium_input_v(x_m)
@@ -345,14 +345,14 @@ class TextbookBench:
             T_A=rig.amplifier_time_constant_s,
             b=rig.drag_n_s_m,
             bounce=rig.restitution,
-            i_most=rig.current_max_a,
+            i_max=rig.current_max_a,
             kind=KINDS.get(name, -1),
             size=float(size),
         )
 
     def _delays(self, n: int) -> FloatArray:
-        most = 2.0 * self._c.size / STEP_S if self._c.kind == JITTER else 0.0
-        return np.round(self._chance.uniform(0.0, 1.0, n) * most)
+        max_steps = 2.0 * self._c.size / STEP_S if self._c.kind == JITTER else 0.0
+        return np.round(self._chance.uniform(0.0, 1.0, n) * max_steps)
 
     def _draw_noise(self, n: int) -> FloatArray:
         return self._noise.standard_normal((n, 2)) * (self._rig.current_noise_a, self._rig.position_noise_m)

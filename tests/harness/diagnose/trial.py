@@ -92,7 +92,7 @@ def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
         return outcome("refused", message=str(reason))
     recorded = time.monotonic()
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             diagnose_command(campaign, out, quick=quick, without=hidden.without),
             cwd=ROOT,
             env=clean_environment(),
@@ -108,13 +108,13 @@ def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
         data = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
         answer, contradictions = read_answer(data), disagreements(data)
     except (OSError, ValueError, KeyError, TypeError) as problem:
-        last = done.stderr.strip().splitlines()[-1:] or [""]
-        return outcome("failed", **took, message=f"exit {done.returncode}: {last[0]} ({type(problem).__name__})")
+        last = process.stderr.strip().splitlines()[-1:] or [""]
+        return outcome("failed", **took, message=f"exit {process.returncode}: {last[0]} ({type(problem).__name__})")
     if contradictions:
         return outcome("failed", **took, message=f"the answer contradicts itself: {'; '.join(contradictions)}")
     # Asked only of an answer that finds nothing: a limit beyond every recorded current is no effect on the data.
-    asked = hidden.part == "causes" and answer.verdict == ADEQUATE and not answer.causes
-    present = not asked or in_the_data(hidden, folder / "again")
+    is_tested = hidden.part == "causes" and answer.verdict == ADEQUATE and not answer.causes
+    present = not is_tested or in_the_data(hidden, folder / "again")
     lenient = any(OUTSIDE[name].may_be_adequate for name in hidden.outside)
     truths = tuple(OUTSIDE[name].cause or name if name in OUTSIDE else name for name in effects)
     return outcome(

@@ -40,21 +40,21 @@ class ChipHost(Generic[ChipBoard]):
 
     def until(self, code: EventCode) -> Message:
         """Let ticks pass until this event; return it."""
-        seen = len(self.messages)
+        start = len(self.messages)
         for _ in range(_LONGEST_WAIT):
             self.run()
-            for message in self.messages[seen:]:
+            for message in self.messages[start:]:
                 if message.name == "EVENT" and message.int("code") == code:
                     return message
-        raise AssertionError(f"no {code.name} in {_LONGEST_WAIT} ticks: {self.messages[seen:]}")
+        raise AssertionError(f"no {code.name} in {_LONGEST_WAIT} ticks: {self.messages[start:]}")
 
-    def ticks_until_off(self, *, at_most: int) -> int:
+    def ticks_until_off(self, *, max_ticks: int) -> int:
         """Let ticks pass until u_c is 0; return how many."""
-        for n in range(1, at_most + 1):
+        for n in range(1, max_ticks + 1):
             self.run()
             if self.board.u == 0:
                 return n
-        raise AssertionError(f"u_c is {self.board.u} after {at_most} ticks")
+        raise AssertionError(f"u_c is {self.board.u} after {max_ticks} ticks")
 
     def send(self, name: str, /, **fields: Value) -> int:
         """Send a command, without waiting; return its id."""
@@ -62,19 +62,19 @@ class ChipHost(Generic[ChipBoard]):
         self.board.feed(frame(name, id=self._id, **fields))
         return self._id
 
-    def ask(self, name: str, /, **fields: Value) -> Message:
+    def request(self, name: str, /, **fields: Value) -> Message:
         """Send a command and wait for its answer."""
-        seen, number = len(self.messages), self.send(name, **fields)
+        start, number = len(self.messages), self.send(name, **fields)
         for _ in range(_LONGEST_WAIT):
             self.run()
-            for message in self.messages[seen:]:
+            for message in self.messages[start:]:
                 if message.name != "EVENT" and message.int("id") == number:
                     return message
         raise AssertionError(f"no answer to {name} in {_LONGEST_WAIT} ticks")
 
     def hello(self) -> Message:
         """Open a session."""
-        return self.ask("HELLO", session=1, version_min=1, version_max=1)
+        return self.request("HELLO", session=1, version_min=1, version_max=1)
 
     def codes(self) -> list[EventCode]:
         """The events so far, in order."""

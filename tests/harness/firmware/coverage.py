@@ -49,12 +49,12 @@ def main() -> int:
         compile_to(library, options=OPTIONS)
         subprocess.run([sys.executable, "-m", __spec__.name, str(library)], check=True, stdout=subprocess.DEVNULL)
         notes = sorted(map(str, folder.glob("*.gcda")))
-        said = subprocess.run(
+        output = subprocess.run(
             ["gcov", "-b", "-j", "-t", *notes], cwd=folder, check=True, capture_output=True, text=True
         ).stdout
     total = [0, 0, 0, 0]
     missed: list[str] = []
-    for document in said.splitlines():
+    for document in output.splitlines():
         for file in json.loads(document)["files"]:
             path = Path(file["file"])
             if path.parent != SOURCES / "core" or path.suffix != ".c":

@@ -10,7 +10,7 @@ from protocol.wire.messages import EventCode, Value
 from tests.harness.firmware.chip_host import ChipBoard, ChipHost
 from tests.harness.gateway.board_host import frame
 
-SETTLED = 140  # ticks after which all that waits has been answered
+DRAIN_TICKS = 140  # ticks after which all that waits has been answered
 BITS = 10  # of a byte
 
 
@@ -41,7 +41,7 @@ def fill_line(
             board.feed(data)
             credit -= len(data)
         host.run()
-    host.run(SETTLED)
+    host.run(DRAIN_TICKS)
     got = host.messages[messages:]
     codes = [EventCode(message.int("code")) for message in got if message.name == "EVENT"]
     return Fate(

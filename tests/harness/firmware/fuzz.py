@@ -38,7 +38,7 @@ def mutated(chance: random.Random, data: bytes) -> bytes:
     return bytes(changed)
 
 
-def near_frame(chance: random.Random) -> bytes:
+def command_like_frame(chance: random.Random) -> bytes:
     """A frame that is nearly a command."""
     row = chance.choice(COMMANDS)
     body = bytes((row.type, chance.randrange(256))) + chance.randbytes(BODY_SIZE[row.name] - 2)
@@ -60,7 +60,7 @@ def fuzz(seed: int, frames: int, path: Path) -> int:
     boards = Firmware(Wandering(seed)), NativeFirmware(Wandering(seed), path=path)
     count = 0
     for n in range(frames):
-        data = near_frame(chance)
+        data = command_like_frame(chance)
         for board in boards:
             board.feed(data)
         if n % 4 == 3:

@@ -24,7 +24,7 @@ class Access:
     variable: str
     writes: bool
     guarded: bool  # no interrupt comes
-    alone: bool  # it reads and writes in one instruction
+    is_atomic: bool  # it reads and writes in one instruction
     size: int  # of the variable, bytes
 
 
@@ -86,9 +86,9 @@ def _of_mcs51(function: str, code: str, sizes: Mapping[str, int]) -> Iterable[Ac
             for n, operand in enumerate(operands.split(",")):
                 name = re.fullmatch(r"\(?_(\w+?)(?: \+ \d+\))?", operand)
                 if name and name[1] in sizes and "sloc" not in name[1]:
-                    alone = operation in _MODIFY
-                    writes = n == 0 and (alone or operation in ("mov", "pop"))
-                    yield Access(function, name[1], writes, guarded, alone, sizes[name[1]])
+                    is_atomic = operation in _MODIFY
+                    writes = n == 0 and (is_atomic or operation in ("mov", "pop"))
+                    yield Access(function, name[1], writes, guarded, is_atomic, sizes[name[1]])
 
 
 def avr_program(folder: Path) -> Program:

@@ -90,10 +90,10 @@ def first_look_us() -> int:
 def commands(seed: int, ticks: int) -> list[tuple[int, bytes]]:
     """A random host: frames, and the tick after which each is complete."""
     chance = random.Random(seed)
-    found = [(3, frame("HELLO", id=1, session=7, version_min=1, version_max=1))]
+    frames = [(3, frame("HELLO", id=1, session=7, version_min=1, version_max=1))]
     for n, tick in enumerate(range(3 + EVERY, ticks - EVERY, EVERY)):
-        found.append((tick, _command(chance, n % 255 + 1)))
-    return found
+        frames.append((tick, _command(chance, n % 255 + 1)))
+    return frames
 
 
 def _command(chance: random.Random, number: int) -> bytes:

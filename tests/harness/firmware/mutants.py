@@ -46,7 +46,7 @@ RULES = [
 _SKIPPED = re.compile(r'/\*.*?\*/|"[^"]*"|#include[^\n]*|B51_STATIC_ASSERT\([^;]*;|#if[^\n]*', re.S)
 _TOKEN = re.compile(r"->|\+\+|--|[-+|]=|[<>=!]=|&&|\|\||<<|>>|[-+<>!]|\b\d+(?=U?\b)|\btrue\b|\bfalse\b")
 _ROW = re.compile(r"^\| `(\w+\.c)` \| `` ?(.+?) ?`` \| (.+) \|$", re.M)
-_MOST_CPU_S = 150  # ten times what a survivor takes
+_MAX_CPU_S = 150  # ten times what a survivor takes
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ class Bench:
 
 def judge(library: Path) -> None:
     """End this process with 0 if no test notices the library."""
-    resource.setrlimit(resource.RLIMIT_CPU, (_MOST_CPU_S, _MOST_CPU_S))
+    resource.setrlimit(resource.RLIMIT_CPU, (_MAX_CPU_S, _MAX_CPU_S))
     sys.stdout = sys.stderr = open(os.devnull, "w", encoding="utf-8")
     core = Core(library)
     of_law.fly_both(core, 1, 6_000)
@@ -177,8 +177,8 @@ def main() -> int:
             counts[fate] += 1
             if fate == "survives":
                 print(mutant, flush=True)
-    judged = counts["killed"] + counts["survives"]
-    print(f"{counts['killed']} of {judged} killed ({100 * counts['killed'] / max(judged, 1):.1f} %); {dict(counts)}")
+    total = counts["killed"] + counts["survives"]
+    print(f"{counts['killed']} of {total} killed ({100 * counts['killed'] / max(total, 1):.1f} %); {dict(counts)}")
     return 0
 
 

@@ -78,7 +78,7 @@ class Script:
         self._left = 0
         self._broken = 0  # ticks with a broken stack, before a reset
         self._temper = "calm"
-        self.taken = 64  # frames that the line takes at a tick
+        self.capacity = 64  # frames that the line takes at a tick
 
     def next(self) -> list[tuple[str, bytes, int]]:
         """Return the actions: (name, data, microseconds into the tick or a number)."""
@@ -86,7 +86,7 @@ class Script:
         if self._left == 0:
             self._left = chance.randrange(20, 600)
             self._temper = chance.choices(list(_TEMPERS), (5, 5, 1, 2, 8))[0]
-            self.taken = chance.choices((64, 2, 1, 0), (10, 4, 2, 1))[0]
+            self.capacity = chance.choices((64, 2, 1, 0), (10, 4, 2, 1))[0]
             if self._temper == "patient":
                 self._left = chance.randrange(400, 1500)
                 return [("feed", data, 0) for data in self._a_signal()]
@@ -174,12 +174,12 @@ class Script:
     def _value(self, item: Field, *, wild: bool) -> int:
         chance = self._random
         size, signed = _SIZES[item.type], item.type == "i16"
-        least, most = (-(1 << 8 * size - 1), (1 << 8 * size - 1) - 1) if signed else (0, (1 << 8 * size) - 1)
+        lowest, highest = (-(1 << 8 * size - 1), (1 << 8 * size - 1) - 1) if signed else (0, (1 << 8 * size) - 1)
         assert item.low is not None
         assert item.high is not None
         low, high = int(item.low), int(item.high)
         if wild and chance.random() < 0.3:
-            return min(max(chance.choice((low - 1, high + 1, least, most)), least), most)
+            return min(max(chance.choice((low - 1, high + 1, lowest, highest)), lowest), highest)
         typical = {
             "x_ref": (300, 3600),
             "amplitude": (-400, 400),
@@ -213,7 +213,7 @@ class Script:
 
 
 @dataclass
-class Seen:
+class Traffic:
     """What a run has met, by name, and how long it was."""
 
     ticks: int = 0
@@ -229,13 +229,13 @@ class Seen:
                     self.names[Reason(event.int("reason")).name] += 1
 
 
-def play(seed: int, ticks: int, *, path: Path | None = None) -> Seen:
+def play(seed: int, ticks: int, *, path: Path | None = None) -> Traffic:
     """Play the same script to both firmwares; tick by tick, the same frames and the same input must come out.
 
     Raises:
         AssertionError: they differ; the message has the seed, the tick, both outputs, and what came in.
     """
-    script, seen = Script(seed), Seen()
+    script, traffic = Script(seed), Traffic()
     plants = Wandering(seed), Wandering(seed)
     boards = Firmware(plants[0]), NativeFirmware(plants[1], path=path)
     if seed % 2:
@@ -245,7 +245,7 @@ def play(seed: int, ticks: int, *, path: Path | None = None) -> Seen:
     for n in range(ticks):
         actions = script.next()
         recent.append(actions)
-        python, c = (_run_tick(board, actions, script.taken) for board in boards)
+        python, c = (_run_tick(board, actions, script.capacity) for board in boards)
         inputs = [plant.inputs for plant in plants]
         dropped = [board.dropped for board in boards]
         if python != c or inputs[0] != inputs[1] or dropped[0] != dropped[1]:
@@ -254,12 +254,12 @@ def play(seed: int, ticks: int, *, path: Path | None = None) -> Seen:
                 f"u {boards[0].u} and {boards[1].u}, lost {dropped}; before that came {list(recent)}"
             )
         if len(c) != BODY_SIZE["STATE"] + 5:
-            seen.note(c)
-    seen.ticks = ticks
-    return seen
+            traffic.note(c)
+    traffic.ticks = ticks
+    return traffic
 
 
-def _run_tick(board: Firmware | NativeFirmware, actions: list[tuple[str, bytes, int]], taken: int) -> bytes:
+def _run_tick(board: Firmware | NativeFirmware, actions: list[tuple[str, bytes, int]], capacity: int) -> bytes:
     for name, data, number in actions:
         if name == "feed":
             board.feed(data, into_tick_us=number)
@@ -276,18 +276,18 @@ def _run_tick(board: Firmware | NativeFirmware, actions: list[tuple[str, bytes, 
         else:
             board.reset(EventCode(number))
     board.tick()
-    return b"".join(board.take_frame() for _ in range(taken))
+    return b"".join(board.take_frame() for _ in range(capacity))
 
 
 def random_settings(chance: random.Random) -> Settings:
     """Return settings as a memory may hold them: each field what its type holds, most of the time in its range."""
 
-    def number(low: int, high: int, least: int, most: int) -> int:
+    def number(low: int, high: int, lowest: int, highest: int) -> int:
         kind = chance.random()
         if kind < 0.04:
-            return chance.randint(least, most)
+            return chance.randint(lowest, highest)
         if kind < 0.06:
-            return min(max(chance.choice((low - 1, high + 1, low, high)), least), most)
+            return min(max(chance.choice((low - 1, high + 1, low, high)), lowest), highest)
         return chance.randint(low, high)
 
     def counts(low: int = 0, high: int = 4095) -> int:

@@ -58,17 +58,17 @@ class Client:
         )
 
     @property
-    def own_key(self) -> str:
+    def command_key(self) -> str:
         return topics.command_key("board51", "rig", role=self.identity.role, who=self.identity.name)
 
-    def ask(self, payload: bytes, key: str = "", timeout_s: float = HANG_S) -> list[pb.CommandReply]:
+    def request(self, payload: bytes, key: str = "", timeout_s: float = HANG_S) -> list[pb.CommandReply]:
         """Every reply to a query."""
-        replies = self.session.get(key or self.own_key, payload=payload, timeout=timeout_s)
+        replies = self.session.get(key or self.command_key, payload=payload, timeout=timeout_s)
         return [pb.CommandReply.FromString(reply.ok.payload.to_bytes()) for reply in replies if reply.ok is not None]
 
     def command(self, *, key: str = "", **what: Any) -> pb.CommandReply | None:
         """The reply to a fresh command; None where none came."""
-        replies = self.ask(fresh(**what).SerializeToString(), key)
+        replies = self.request(fresh(**what).SerializeToString(), key)
         assert len(replies) <= 1
         return replies[0] if replies else None
 

@@ -76,7 +76,7 @@ class Host:
         return self._id
 
     def hello(self, session: int, *, version_min: int = 1, version_max: int = 1) -> Message:
-        return self.ask("HELLO", session=session, version_min=version_min, version_max=version_max)
+        return self.request("HELLO", session=session, version_min=version_min, version_max=version_max)
 
     def run(self, ticks: int, *, alive: bool = True) -> list[State]:
         """Let ticks pass; a host that is alive pings now and then, so that the board does not miss it."""
@@ -104,7 +104,7 @@ class Host:
         self.states += states
         return states
 
-    def ask(self, name: str, /, **fields: Value) -> Message:
+    def request(self, name: str, /, **fields: Value) -> Message:
         """One command, one tick, its answer."""
         return self.send(frame(name, id=self.next_id(), **fields))
 
@@ -134,6 +134,6 @@ def refusal(answer: Message) -> tuple[int, int]:
 def open_loop(u: int, bench: Bench | None = None) -> Host:
     """A host with the board in open loop at a constant input."""
     host = Host(bench)
-    host.ask("SET_MODE", mode=1)
-    host.ask("EXCITE", shape=0, target=0, offset=u, **QUIET)
+    host.request("SET_MODE", mode=1)
+    host.request("EXCITE", shape=0, target=0, offset=u, **QUIET)
     return host

@@ -21,7 +21,15 @@ from tests.harness.ports import free_port
 from tests.harness.repeated import repeated
 
 JUNK = b"\xff\xff"  # no message of any kind
-HEARD = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/states")  # one of each subscriber
+TOPICS = (
+    "states",
+    "status",
+    "event",
+    "alarms",
+    "parameters",
+    "command/record",
+    "twin/states",
+)  # one of each subscriber
 CommandHandler = Callable[[str, pb.Command], pb.CommandReply | None]  # None: no answer yet
 
 
@@ -106,7 +114,7 @@ def feed_of(gateway: PlayedGateway) -> Iterator[Feed]:
     config = zenoh_config("client", connect=[gateway.endpoint])
     with zenoh.open(zenoh.Config.from_json5(config)) as session:
         feed = Feed(session)
-        for topic in HEARD:
+        for topic in TOPICS:
             _reach(feed, gateway, topic)
         feed.refused = 0
         yield feed

@@ -51,8 +51,8 @@ class Line:
 
         def parked() -> bool:
             state: pb.State = self.bus.states()[-1]
-            near = abs(state.x_ref_m - x_ref_m) < 2e-6 and state.x_m < 0.2e-3
-            return bool(state.mode == pb.MODE_IDLE and state.u_c_v == 0.0 and near)
+            in_position = abs(state.x_ref_m - x_ref_m) < 2e-6 and state.x_m < 0.2e-3
+            return bool(state.mode == pb.MODE_IDLE and state.u_c_v == 0.0 and in_position)
 
         wait_for(parked, "parked ball")
 

@@ -97,12 +97,12 @@ class ScriptedBoard:
         tty.setraw(slave)
         self.url = os.ttyname(slave)
         self.slave = slave  # held, so that the pty outlives a gateway that closes it
-        self.heard: list[Message] = []
+        self.received: list[Message] = []
         self.tick = 1000
         self.streaming = streaming
         self.reading = True
         self.flags = 0
-        self.not_taken: list[int] = []  # ticks whose STATE found the pty full
+        self.dropped_ticks: list[int] = []  # ticks whose STATE found the pty full
         self._answers = answers
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, daemon=True)
@@ -124,7 +124,7 @@ class ScriptedBoard:
         return True
 
     def names(self) -> list[str]:
-        return [message.name for message in self.heard]
+        return [message.name for message in self.received]
 
     def _work(self) -> None:
         decoder = StreamDecoder()
@@ -132,14 +132,14 @@ class ScriptedBoard:
             if select.select([self.master] if self.reading else [], [], [], 0.004)[0]:
                 for message in decoder.feed(os.read(self.master, 4096)):
                     if isinstance(message, Message):
-                        self.heard.append(message)
+                        self.received.append(message)
                         self._answer(message)
             if self.streaming:
                 self.tick += 1
                 u_c = 0 if self.flags & Flag.FAULT else 3
                 state = frame("STATE", sequence=self.tick & 0xFFFF, i_c=1, x=2, u_c=u_c, x_ref=4, flags=self.flags)
                 if not self.send(state):
-                    self.not_taken.append(self.tick)
+                    self.dropped_ticks.append(self.tick)
 
     def _answer(self, message: Message) -> None:
         scripted = self._answers(message)
@@ -210,7 +210,7 @@ class Bus:
         wait_for(lambda: len(self.states(board)) >= start + count, f"{count} states", timeout_s)
         return self.states(board)[start:]
 
-    def ask(self, payload: bytes, board: str = "rig", timeout_s: float = HANG_S) -> pb.CommandReply:
+    def request(self, payload: bytes, board: str = "rig", timeout_s: float = HANG_S) -> pb.CommandReply:
         """The one reply to a query on the board's command key."""
         replies = list(self.session.get(f"board51/{board}/command", payload=payload, timeout=timeout_s))
         assert len(replies) == 1, "every command is answered, once"
@@ -218,7 +218,7 @@ class Bus:
         return pb.CommandReply.FromString(replies[0].ok.payload.to_bytes())
 
     def command(self, id: str, board: str = "rig", **what: Any) -> pb.CommandReply:
-        return self.ask(pb.Command(id=id, who="test", **what).SerializeToString(), board)
+        return self.request(pb.Command(id=id, who="test", **what).SerializeToString(), board)
 
 
 @contextmanager

@@ -34,8 +34,8 @@ class Process:
     """A `board51` command as a process of its own; what it says is in a file."""
 
     def __init__(self, folder: Path, *words: str) -> None:
-        self.said = folder / f"{words[0]}-{os.urandom(3).hex()}.log"
-        with self.said.open("wb") as out:
+        self.log_file = folder / f"{words[0]}-{os.urandom(3).hex()}.log"
+        with self.log_file.open("wb") as out:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "board51", *words], stdout=out, stderr=out, stdin=subprocess.DEVNULL
             )
@@ -70,11 +70,11 @@ class Process:
 
     def wait_for_words(self, words: str) -> None:
         def look() -> bool:
-            text = self.said.read_text(errors="replace")
+            text = self.log_file.read_text(errors="replace")
             assert self._process.poll() is None, text
             return words in text
 
-        wait_for(look, f"{words!r} in {self.said}")
+        wait_for(look, f"{words!r} in {self.log_file}")
 
 
 class Page:
@@ -125,12 +125,12 @@ class Page:
         self, path: str, *, origin: str = "", token: str | None = None, cookie: str | None = None
     ) -> Iterator[ClientConnection]:
         """A WebSocket to the frames."""
-        shown = self.cookie if cookie is None else cookie
+        cookie_value = self.cookie if cookie is None else cookie
         with connect(
             f"ws://127.0.0.1:{self.port}{path}",
             origin=Origin(origin or self.base),
             subprotocols=[Subprotocol("board51"), Subprotocol(self.token if token is None else token)],
-            additional_headers={"cookie": f"{self.cookie_name}={shown}"},
+            additional_headers={"cookie": f"{self.cookie_name}={cookie_value}"},
             open_timeout=HANG_S,
             close_timeout=1.0,
         ) as live:
@@ -180,13 +180,13 @@ def served(folder: Path, model: dict[str, Any]) -> Iterator[tuple[PlayedGateway,
     """A page with users, on which a played gateway has a board `rig`, whose twin runs on `model`."""
     words = ("--users", str(users_file(folder)))
     with played_gateway() as gateway, hmi(folder, gateway.endpoint, *words) as (port, _):
-        heard = Page(port)
-        heard.log_in("vic")
+        page = Page(port)
+        page.log_in("vic")
 
         def known() -> bool:
             gateway.state()
             gateway.send("twin/model", pb.TwinModel(name="ce152", sha256="0" * 64, model_json=json.dumps(model)))
-            with heard.live("/live") as socket:
+            with page.live("/live") as socket:
                 return bool(frame(socket)["boards"])
 
         wait_for(known, "the board on the page")

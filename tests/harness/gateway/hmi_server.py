@@ -51,14 +51,14 @@ def hmi_with_logins(folder: Path) -> Iterator[Server]:
         ),
     ):
         made = Server(port=port, folder=folder, gateway=gateway)
-        heard = made.page("vic")
+        viewer_page = made.page("vic")
 
         def known() -> bool:
             gateway.state()
             gateway.parameters()
             gateway.status()
             time.sleep(0.02)
-            with heard.live("/live") as socket:
+            with viewer_page.live("/live") as socket:
                 return bool(frame(socket)["boards"])
 
         wait_for(known, "the board on the page")

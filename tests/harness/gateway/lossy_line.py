@@ -157,11 +157,11 @@ class LossyRig:
                 self.driver.wrote(len(data))
                 self.to_board.put(data)
 
-    def ask(self, command: pb.Command, replies: list[pb.CommandReply]) -> None:
+    def send(self, command: pb.Command, replies: list[pb.CommandReply]) -> None:
         """Send a command, as from the bus; its reply is added to `replies`."""
-        self.ask_bytes(command.SerializeToString(), replies)
+        self.send_bytes(command.SerializeToString(), replies)
 
-    def ask_bytes(self, payload: bytes, replies: list[pb.CommandReply]) -> None:
+    def send_bytes(self, payload: bytes, replies: list[pb.CommandReply]) -> None:
         """Send what may be no command."""
         sender = Sender(
             name="", role=None, arrived_ns=_START_NS + self.now_ns, arrived_s=self.now_ns * 1e-9, started_ns=0
@@ -182,7 +182,7 @@ class Account:
     """What became of numbered commands."""
 
     executed: Counter[str] = field(default_factory=Counter)  # by the outcome that the caller was told
-    told: Counter[str] = field(default_factory=Counter)  # outcomes
+    outcomes: Counter[str] = field(default_factory=Counter)  # outcomes
     twice: list[int] = field(default_factory=list)
     false_acks: list[int] = field(default_factory=list)  # acknowledged, not executed
     false_refusals: list[int] = field(default_factory=list)  # "it has not acted", and it had
@@ -204,14 +204,14 @@ def send_all(rig: LossyRig, count: int, *, seed: int, at_once: int = 4, stops: f
         if rig.driver.link == "streaming":
             if sent < count and sum(not replies[n] for n, _ in open_ones) < at_once:
                 command = rig.gains(sent)
-                rig.ask(command, replies[sent])
+                rig.send(command, replies[sent])
                 open_ones = [*open_ones[-16:], (sent, command)]
                 sent += 1
             if draw.random() < 0.05:  # the caller has lost patience, or the reply: the same again
                 number, command = draw.choice(open_ones)
-                rig.ask(command, replies[number])
+                rig.send(command, replies[number])
             if draw.random() < stops:
-                rig.ask(pb.Command(id=f"s{rig.tick_count}", stop=pb.Stop()), stop_replies)
+                rig.send(pb.Command(id=f"s{rig.tick_count}", stop=pb.Stop()), stop_replies)
         rig.run()
     rig.run(1500)  # what a stalled line still holds
     assert all(reply.tick in rig.end.stops for reply in stop_replies if reply.accepted)
@@ -223,12 +223,12 @@ def account_of(end: BoardEnd, replies: list[list[pb.CommandReply]]) -> Account:
     account = Account()
     for number, answers in enumerate(replies):
         # A reply that is not kept says that nothing has happened and the same id may come again: the last one counts.
-        kept = [answer for answer in answers if answer.repeat_until_ns]
-        ticks, reply = end.executed.get(number, set()), kept[0] if kept else answers[-1]
+        repeatable = [answer for answer in answers if answer.repeat_until_ns]
+        ticks, reply = end.executed.get(number, set()), repeatable[0] if repeatable else answers[-1]
         outcome = "acknowledged" if reply.accepted else f"{reply.refused_by}: {reply.reason}"
         if reply.reason == "timed-out":
             outcome += ", not sent" if not reply.attempts else ", unknown"
-        account.told[outcome] += 1
+        account.outcomes[outcome] += 1
         account.executed[outcome] += bool(ticks)
         may_act = reply.accepted or (reply.refused_by == "link" and (reply.reason != "timed-out" or reply.attempts))
         if len(ticks) > 1:
@@ -239,6 +239,6 @@ def account_of(end: BoardEnd, replies: list[list[pb.CommandReply]]) -> Account:
             account.wrong_ticks.append(number)
         if ticks and not may_act:
             account.false_refusals.append(number)
-        if any(again.accepted != reply.accepted for again in kept):
+        if any(again.accepted != reply.accepted for again in repeatable):
             account.contradictions.append(number)
     return account

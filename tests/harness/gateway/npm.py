@@ -21,9 +21,9 @@ def installed(source: Path, folder: Path) -> Path:
             shutil.copy(file, folder / file.name)
     command = [npm, "install", "--no-package-lock", "--no-audit", "--no-fund", "--ignore-scripts"]
     try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=INSTALL_S, check=False)
+        process = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=INSTALL_S, check=False)
     except subprocess.TimeoutExpired:
         pytest.skip(f"npm did not answer within {INSTALL_S:g} s")
-    if done.returncode:
-        pytest.skip(f"the packages cannot be installed: {done.stderr.strip()[-200:]}")
+    if process.returncode:
+        pytest.skip(f"the packages cannot be installed: {process.stderr.strip()[-200:]}")
     return folder

@@ -182,8 +182,8 @@ class Notifications:
         """A condition has been told of so often."""
 
         async def look() -> bool | None:
-            told = [e for e in self.events if getattr(e, "ConditionName", None) == name and e.Retain]
-            return True if len(told) >= count else None
+            matching = [e for e in self.events if getattr(e, "ConditionName", None) == name and e.Retain]
+            return True if len(matching) >= count else None
 
         await until(look, f"{count} times {name}")
 
@@ -200,7 +200,7 @@ async def monitor(
     client: Peer,
     notified: Notifications,
     *paths: str,
-    asked: ua.TimestampsToReturn,
+    timestamps: ua.TimestampsToReturn,
     filter_: Any = None,
     attribute: ua.AttributeIds = ua.AttributeIds.Value,
 ) -> list[ua.MonitoredItemCreateResult]:
@@ -211,10 +211,12 @@ async def monitor(
             for item in getattr(data, "MonitoredItems", []):
                 notified.values.setdefault(paths[item.ClientHandle], []).append(item.Value)
 
-    wanted = ua.CreateSubscriptionParameters(RequestedPublishingInterval=20.0, PublishingEnabled=True)
-    wanted.RequestedLifetimeCount, wanted.RequestedMaxKeepAliveCount = 10_000, 100
-    subscription = await client.client.uaclient.create_subscription(wanted, published)
-    parameters = ua.CreateMonitoredItemsParameters(SubscriptionId=subscription.SubscriptionId, TimestampsToReturn=asked)
+    settings = ua.CreateSubscriptionParameters(RequestedPublishingInterval=20.0, PublishingEnabled=True)
+    settings.RequestedLifetimeCount, settings.RequestedMaxKeepAliveCount = 10_000, 100
+    subscription = await client.client.uaclient.create_subscription(settings, published)
+    parameters = ua.CreateMonitoredItemsParameters(
+        SubscriptionId=subscription.SubscriptionId, TimestampsToReturn=timestamps
+    )
     for handle, path in enumerate(paths):
         request = ua.MonitoredItemCreateRequest(MonitoringMode=ua.MonitoringMode.Reporting)
         request.ItemToMonitor = ua.ReadValueId(NodeId=client.node(path).nodeid, AttributeId=attribute)

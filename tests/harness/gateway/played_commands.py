@@ -56,7 +56,7 @@ class Rig:
     def records(self) -> list[pb.CommandRecord]:
         return self.sink.messages["command/record"]
 
-    def ask(self, payload: bytes, *, role: Role | None = None, link: str = "streaming") -> list[pb.CommandReply]:
+    def request(self, payload: bytes, *, role: Role | None = None, link: str = "streaming") -> list[pb.CommandReply]:
         """The replies so far to a query; the board has had its say."""
         replies: list[pb.CommandReply] = []
         sender = Sender(name="ben", role=role, arrived_ns=self.now_ns, arrived_s=self.now_s, started_ns=START_NS)
@@ -65,7 +65,7 @@ class Rig:
         return replies
 
     def command(self, **fields: Any) -> pb.CommandReply:
-        (reply,) = self.ask(pb.Command(**fields).SerializeToString())
+        (reply,) = self.request(pb.Command(**fields).SerializeToString())
         return reply
 
     def settle(self) -> None:
@@ -74,11 +74,11 @@ class Rig:
             for event in self.session.take_outcomes():
                 assert isinstance(event, Answer)
                 self.handler.answered(event, self.now_ns)
-            heard = [m for m in StreamDecoder().feed(take_output(self.session)) if isinstance(m, Message)]
-            self.wire += heard
-            if not heard or not self.answering:
+            messages = [m for m in StreamDecoder().feed(take_output(self.session)) if isinstance(m, Message)]
+            self.wire += messages
+            if not messages or not self.answering:
                 return
-            for message in heard:
+            for message in messages:
                 self.tick += 1
                 for event in self.session.feed(self._answer(message), self.now_s):
                     if isinstance(event, Answer):

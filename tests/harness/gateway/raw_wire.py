@@ -45,12 +45,12 @@ class Wire:
     def write(self, data: bytes) -> None:
         assert os.write(self._file, data) == len(data)
 
-    def until(self, wanted: Callable[[Event], bool]) -> Event:
+    def until(self, condition: Callable[[Event], bool]) -> Event:
         """Read until an event is what is wanted."""
         end = time.monotonic() + HANG_S
         while time.monotonic() < end:
             for event in self.read():
-                if wanted(event):
+                if condition(event):
                     return event
         raise AssertionError(f"not among {len(self.events)} events: {self.events[-5:]}")
 

@@ -43,13 +43,13 @@ def until(condition: Callable[[], bool], *, seconds: float = HANG_S) -> None:
 
 
 def ticks(records: Iterator[LogRecord]) -> list[int]:
-    found = []
+    numbers = []
     for record in records:
         assert isinstance(record.message, pb.State)
         assert record.message == state(record.message.tick)
         assert record.time_ns == record.message.host_time_ns
-        found.append(record.message.tick)
-    return found
+        numbers.append(record.message.tick)
+    return numbers
 
 
 def recorder(directory: Path, *, on_event: OnEvent | None = None, **options: Any) -> Recorder:

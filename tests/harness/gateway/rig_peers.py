@@ -97,10 +97,10 @@ class Network:
 
     def reset(self) -> None:
         """Connections end."""
-        for one in self._sockets:
+        for connection in self._sockets:
             with contextlib.suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
-            one.close()
+                connection.shutdown(socket.SHUT_RDWR)
+            connection.close()
         self._sockets.clear()
 
     def hold_answers(self, to: bytes) -> None:
@@ -120,26 +120,26 @@ class Network:
     def _accept(self) -> None:
         while True:
             try:
-                here, _ = self._listener.accept()
-                there = socket.create_connection(("127.0.0.1", self._target))
+                client, _ = self._listener.accept()
+                server = socket.create_connection(("127.0.0.1", self._target))
             except OSError:
                 if self._listener.fileno() < 0:
                     return
-                here.close()  # the server is away
+                client.close()  # the server is away
                 continue
-            self._sockets += [here, there]
-            asked, gate = threading.Event(), self._open
-            self._run(self._pump, here, there, asked, gate, True)
-            self._run(self._pump, there, here, asked, gate, False)
+            self._sockets += [client, server]
+            requested, gate = threading.Event(), self._open
+            self._run(self._pump, client, server, requested, gate, True)
+            self._run(self._pump, server, client, requested, gate, False)
 
     def _pump(
-        self, source: socket.socket, sink: socket.socket, asked: threading.Event, gate: threading.Event, forth: bool
+        self, source: socket.socket, sink: socket.socket, requested: threading.Event, gate: threading.Event, forth: bool
     ) -> None:
         with contextlib.suppress(OSError):
             while data := source.recv(65536):
                 if forth and self._held and self._held in data:
-                    asked.set()
-                if not forth and asked.is_set():
+                    requested.set()
+                if not forth and requested.is_set():
                     self._answers.wait()
                 gate.wait()
                 sink.sendall(data)

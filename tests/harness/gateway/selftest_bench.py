@@ -88,7 +88,7 @@ class VirtualWire:
 def selftest(
     rig: str = "ce152",
     *,
-    only: Sequence[str] = (),
+    names: Sequence[str] = (),
     quick: bool = True,
     effects: Mapping[str, float] | None = None,
     faults: Iterable[str] = (),
@@ -110,7 +110,7 @@ def selftest(
         prepare=prepare,
         each_tick=each_tick,
     )
-    verdicts = list(run_checks(bench, [check for check in CHECKS if not only or check.name in only]))
+    verdicts = list(run_checks(bench, [check for check in CHECKS if not names or check.name in names]))
     return [*verdicts, switch_off(bench)]
 
 

@@ -40,29 +40,29 @@ def play(folder: Path, summaries: int, messages: int, watch_s: float) -> bool:
         page = Page(rig.port)
         page.open()
         wait_for(lambda: page.post("/api/rig/stop").status_code == 200, "the rig on the page")
-        viewers, begin_s, most = Viewers(page), time.monotonic(), 0
+        viewers, begin_s, peak = Viewers(page), time.monotonic(), 0
 
-        def say(text: str) -> None:
+        def report(text: str) -> None:
             print(f"{time.monotonic() - begin_s:+6.1f} s  {text}", flush=True)
 
-        viewers.ask(summaries)
+        viewers.request_summaries(summaries)
         threading.Event().wait(2.0)
         with contextlib.suppress(httpx.TimeoutException):
             page.http.timeout = httpx.Timeout(BROWSER_S)
-            say(f"closed loop: {page.post('/api/rig/command', CLOSED).json()}")
+            report(f"closed loop: {page.post('/api/rig/command', CLOSED).json()}")
         page.http.timeout = httpx.Timeout(60.0)
-        say("STOP")
+        report("STOP")
         stop = page.post("/api/rig/stop").json()
-        say(f"STOP: {stop}")
+        report(f"STOP: {stop}")
         wait_for(lambda: bus.states()[-1].tick >= stop["tick"], "its sample")
         stopped_s, moved = time.monotonic(), False
         while children(rig.hmi.pid) or time.monotonic() - stopped_s < watch_s:
-            most = max(most, len(children(rig.hmi.pid)))
+            peak = max(peak, len(children(rig.hmi.pid)))
             if bus.states()[-1].mode != pb.MODE_IDLE and not moved:
                 moved = True
-                say("THE RIG ACTS: mode " + pb.Mode.Name(bus.states()[-1].mode))
+                report("THE RIG ACTS: mode " + pb.Mode.Name(bus.states()[-1].mode))
             time.sleep(0.05)
-        say(f"no summary is read any more; {most} at once at most; answers {sorted(viewers.statuses())}")
+        report(f"no summary is read any more; {peak} at once at most; answers {sorted(viewers.statuses())}")
         viewers.leave()
         return not moved
 

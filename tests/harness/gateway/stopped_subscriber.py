@@ -47,7 +47,7 @@ def longest_round_s(
     got, more = 0, threading.Condition()
     queries: list[zenoh.Query] = []
 
-    def heard(sample: zenoh.Sample) -> None:
+    def count_sample(sample: zenoh.Sample) -> None:
         nonlocal got
         with more:
             got += 1
@@ -60,7 +60,7 @@ def longest_round_s(
     assert process.stdout is not None
     try:
         process.stdout.readline()
-        with healthy.declare_subscriber(KEY, heard):
+        with healthy.declare_subscriber(KEY, count_sample):
             with more:
                 while not got:  # until the subscription is known
                     publisher.put(PAYLOAD)

@@ -25,14 +25,14 @@ def write_log(path: Path, messages: int) -> None:
 
 def children(pid: int) -> list[int]:
     """The processes of a page's server that read a log."""
-    found = []
+    pids = []
     for entry in Path("/proc").iterdir():
         with contextlib.suppress(OSError, ValueError):
             stat = (entry / "stat").read_text()
             words = (entry / "cmdline").read_bytes().split(b"\0")
             if int(stat.rpartition(")")[2].split()[1]) == pid and b"info" in words:
-                found.append(int(entry.name))
-    return found
+                pids.append(int(entry.name))
+    return pids
 
 
 class Viewers:
@@ -42,7 +42,7 @@ class Viewers:
         self._page = page
         self._sockets: list[socket.socket] = []
 
-    def ask(self, count: int) -> None:
+    def request_summaries(self, count: int) -> None:
         for _ in range(count):
             browser = socket.create_connection(("127.0.0.1", self._page.port), timeout=HANG_S)
             head = f"Host: 127.0.0.1:{self._page.port}\r\nCookie: {self._page.cookie_name}={self._page.cookie}"
@@ -51,12 +51,12 @@ class Viewers:
 
     def statuses(self) -> list[int]:
         """Of those that were answered so far."""
-        found = []
+        codes = []
         for browser in self._sockets:
             browser.setblocking(False)
             with contextlib.suppress(BlockingIOError):
-                found.append(int(browser.recv(16, socket.MSG_PEEK).split()[1]))
-        return found
+                codes.append(int(browser.recv(16, socket.MSG_PEEK).split()[1]))
+        return codes
 
     def leave(self) -> None:
         while self._sockets:

@@ -29,16 +29,16 @@ def _value(text: str) -> Value:
 
 
 def read_golden() -> list[Golden]:
-    found: list[Golden] = []
+    entries: list[Golden] = []
     for line in LINES:
         if not line or line.startswith("#"):
             continue
         key, _, rest = line.partition(" ")
         if key in ("body", "wire", "fields", "why"):
-            found[-1].keys[key] = rest
+            entries[-1].keys[key] = rest
         else:
-            found.append(Golden(line, {}))
-    return found
+            entries.append(Golden(line, {}))
+    return entries
 
 
 GOLDEN = read_golden()

@@ -85,8 +85,8 @@ def held(folder: Path, *, before_ns: int = 1 << 64, parts: str = "*.mcap") -> Co
 
 def missing(lab: Path, plant: Path, *, before_ns: int = 1 << 64, parts: str = "*.mcap") -> int:
     """How many records of the lab's log the plant lacks."""
-    here = held(plant, parts=parts)
-    return sum(key not in here for key in held(lab, before_ns=before_ns))
+    counts = held(plant, parts=parts)
+    return sum(key not in counts for key in held(lab, before_ns=before_ns))
 
 
 def account(lab: Path, plant: Path) -> tuple[int, int]:

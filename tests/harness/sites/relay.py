@@ -52,17 +52,17 @@ class Relay:
     def _accept(self, listener: socket.socket) -> None:
         while True:
             try:
-                near, _ = listener.accept()
-                far = socket.create_connection(self._target)
+                client, _ = listener.accept()
+                server = socket.create_connection(self._target)
             except OSError:
                 return
             with self._lock:
                 if self._listener is not listener:
-                    _end(near)
-                    _end(far)
+                    _end(client)
+                    _end(server)
                     return
-                self._open += [near, far]
-            for source, sink in ((near, far), (far, near)):
+                self._open += [client, server]
+            for source, sink in ((client, server), (server, client)):
                 threading.Thread(target=self._pass_on, args=(source, sink), daemon=True).start()
 
     def _pass_on(self, source: socket.socket, sink: socket.socket) -> None:

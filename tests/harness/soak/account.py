@@ -23,7 +23,7 @@ from tests.harness.soak.numbered_board import Fate, Ledger
 
 Mask = NDArray[np.bool_]
 
-BOTH, LOG_ALONE, BUS_ALONE, NOWHERE = "published and logged", "logged", "published", "lost"
+BOTH, LOGGED, PUBLISHED, NOWHERE = "published and logged", "logged", "published", "lost"
 DISK_FULL = "disk full for longer than the log's queue holds"
 IGNORED = "read, counted in states_ignored"
 IGNORED_UNSEEN = "read while the disk was full, counted in states_ignored"
@@ -40,16 +40,16 @@ _BEFORE = {
 class Cost:
     """Samples that a fault may cost, from `before_s` before it began to `after_s` after it ended.
 
-    `in_one_piece`: what comes in order is lost in order, so they are one unbroken run of each board, through the moment
+    `is_unbroken`: what comes in order is lost in order, so they are one unbroken run of each board, through the moment
     at which the fault struck, or up to it.  `early`: only such as came before the end of a handshake.
     """
 
-    place: str
+    location: str
     fault: str
     reason: str
     before_s: float
     after_s: float
-    in_one_piece: bool = True
+    is_unbroken: bool = True
     early: bool = False
 
 
@@ -59,15 +59,15 @@ _COSTS = (
     # Whoever opens a serial port discards what waits in it (pyserial).
     Cost(NOWHERE, "port opened", "in the cable when the port was opened", 0.0, 0.5),
     # A gateway ignores them; where the log has the bytes, they are seen in it.
-    Cost(NOWHERE, "disk full", IGNORED_UNSEEN, 0.5, 1.0, in_one_piece=False, early=True),
+    Cost(NOWHERE, "disk full", IGNORED_UNSEEN, 0.5, 1.0, is_unbroken=False, early=True),
     # gateway/README.md: at most 250 ms of log.
-    Cost(BUS_ALONE, "gateway killed", "not yet on the disk when the gateway was killed", 0.5, 0.1),
+    Cost(PUBLISHED, "gateway killed", "not yet on the disk when the gateway was killed", 0.5, 0.1),
     # The log tries again each half second, and finds room for a few between others; it counts what it drops.
-    Cost(BUS_ALONE, "disk full", DISK_FULL, 0.5, 1.0, in_one_piece=False),
+    Cost(PUBLISHED, "disk full", DISK_FULL, 0.5, 1.0, is_unbroken=False),
     # Messages wait for the router, as far as the queue holds, which counts what it drops, and while the gateway lives.
     # Not counted is what was on its way when the router died, and what was put before the subscriber was back.
-    Cost(LOG_ALONE, "router killed", "no router, or on its way to one that was killed", 0.5, 3.0),
-    Cost(LOG_ALONE, "gateway killed", "not yet on the bus when the gateway was killed", 0.5, 0.1),
+    Cost(LOGGED, "router killed", "no router, or on its way to one that was killed", 0.5, 3.0),
+    Cost(LOGGED, "gateway killed", "not yet on the bus when the gateway was killed", 0.5, 0.1),
 )
 
 
@@ -89,7 +89,7 @@ class Account:
     def table(self) -> str:
         """Return the account as text."""
         rows = [f"{'samples of all boards':<72}{self.sensed:>10}"]
-        rows += [f"{f'{place}: {reason}':<72}{n:>10}" for (place, reason), n in sorted(self.lines.items())]
+        rows += [f"{f'{location}: {reason}':<72}{n:>10}" for (location, reason), n in sorted(self.lines.items())]
         return "\n".join([*rows, f"{'sum of these':<72}{self.lines.total():>10}"])
 
 
@@ -119,7 +119,7 @@ def account_of(
         on_bus = _times(published[published[:, 0] == board, 1], count, board, account)
         in_log = _times(logged.numbers, count, board, account)
         read = np.bincount([n for n in logged.read if n < count], minlength=count)
-        known = np.array(ledger.fate) == Fate.TAKEN
+        known = np.array(ledger.fate) == Fate.RECEIVED
         sampled = (on_bus > 0) | (in_log > 0)
         account.invented += [(board, int(n)) for n in np.flatnonzero(sampled & ~known) if n]
         early = np.array(ledger.early, np.bool_)
@@ -129,8 +129,8 @@ def account_of(
 
         places = {
             BOTH: (on_bus > 0) & (in_log > 0),
-            LOG_ALONE: (on_bus == 0) & (in_log > 0),
-            BUS_ALONE: (on_bus > 0) & (in_log == 0),
+            LOGGED: (on_bus == 0) & (in_log > 0),
+            PUBLISHED: (on_bus > 0) & (in_log == 0),
             NOWHERE: (on_bus == 0) & (in_log == 0),
         }
         for mask in places.values():
@@ -141,15 +141,15 @@ def account_of(
         made = sampled | places[NOWHERE]
         gaps = {
             NOWHERE: _Gap(known, known & (on_bus == 0) & (in_log == 0) & (read == 0), at_ns),
-            BUS_ALONE: _Gap(made, in_log == 0, at_ns),
-            LOG_ALONE: _Gap(made, on_bus == 0, at_ns),
+            PUBLISHED: _Gap(made, in_log == 0, at_ns),
+            LOGGED: _Gap(made, on_bus == 0, at_ns),
         }
         causes = {
-            place: [(c, gap.cost_of(c, o) & (early | (not c.early))) for c, o in _pairs(place, concerns)]
-            for place, gap in gaps.items()
+            location: [(c, gap.cost_of(c, o) & (early | (not c.early))) for c, o in _pairs(location, concerns)]
+            for location, gap in gaps.items()
         }
-        for place, mask in places.items():
-            _explain(account, place, mask, board, at_ns, causes)
+        for location, mask in places.items():
+            _explain(account, location, mask, board, at_ns, causes)
         _add_counts(account, board, logged)
     return account
 
@@ -164,11 +164,11 @@ def _ended(ledger: Ledger, read: Mask, in_log: Mask, happened: Sequence[Occurren
 def _add_ended(account: Account, board: int, lost: Mask, ended: Mapping[str, Mask]) -> None:
     """Move what is lost for these reasons from `lost` to the account."""
     for reason, mask in ended.items():
-        gone = lost & mask
-        account.lines[NOWHERE, reason] += int(gone.sum())
+        explained = lost & mask
+        account.lines[NOWHERE, reason] += int(explained.sum())
         if reason == IGNORED:
-            account.read_but_no_sample[board] += int(gone.sum())
-        lost &= ~gone
+            account.read_but_no_sample[board] += int(explained.sum())
+        lost &= ~explained
 
 
 def _ledger_faults(ledger: Ledger, board: int) -> list[Occurrence]:
@@ -201,12 +201,12 @@ def _cut_off(logged: Mask, at_ns: NDArray[np.int64], happened: Sequence[Occurren
 
     The log is written in order, so they come after the last one that has reached it.
     """
-    found = np.zeros(len(at_ns), np.bool_)
+    mask = np.zeros(len(at_ns), np.bool_)
     for killed in (o for o in happened if o.name == "gateway killed"):
         before = at_ns <= killed.struck_ns
         end = int(np.flatnonzero(logged & before).max(initial=0)) + 1
-        found[end:] |= before[end:] & (at_ns[end:] >= killed.begin_ns - LOG_CUT_NS)
-    return found
+        mask[end:] |= before[end:] & (at_ns[end:] >= killed.begin_ns - LOG_CUT_NS)
+    return mask
 
 
 class _Gap:
@@ -228,49 +228,49 @@ class _Gap:
         """Return which samples a fault may have cost."""
         window = self._at_ns >= occurrence.begin_ns - cost.before_s * 1e9
         window &= self._at_ns <= occurrence.end_ns + cost.after_s * 1e9
-        return window & self._run(occurrence.struck_ns) if cost.in_one_piece else window
+        return window & self._run(occurrence.struck_ns) if cost.is_unbroken else window
 
     def _run(self, moment_ns: int) -> Mask:
         """Return the unbroken run of missing samples through a moment, or the last one before it."""
-        found = np.zeros(len(self._at_ns), np.bool_)
+        mask = np.zeros(len(self._at_ns), np.bool_)
         first_after = int(np.searchsorted(self._times_ns, moment_ns))
         before = np.flatnonzero(self._missing[: first_after + 1])
         if len(before):
-            there = np.flatnonzero(~self._missing)
-            at = int(np.searchsorted(there, before[-1]))
-            begin = there[at - 1] + 1 if at else 0
-            end = there[at] if at < len(there) else len(self._order)
-            found[self._order[begin:end]] = True
-        return found
+            present = np.flatnonzero(~self._missing)
+            at = int(np.searchsorted(present, before[-1]))
+            begin = present[at - 1] + 1 if at else 0
+            end = present[at] if at < len(present) else len(self._order)
+            mask[self._order[begin:end]] = True
+        return mask
 
 
-def _pairs(place: str, happened: Sequence[Occurrence]) -> Iterator[tuple[Cost, Occurrence]]:
-    return ((cost, o) for cost in _COSTS for o in happened if (cost.place, cost.fault) == (place, o.name))
+def _pairs(location: str, happened: Sequence[Occurrence]) -> Iterator[tuple[Cost, Occurrence]]:
+    return ((cost, o) for cost in _COSTS for o in happened if (cost.location, cost.fault) == (location, o.name))
 
 
 def _explain(
     account: Account,
-    place: str,
+    location: str,
     mask: Mask,
     board: int,
     at_ns: NDArray[np.int64],
     causes: Mapping[str, Sequence[tuple[Cost, Mask]]],
 ) -> None:
-    if place == NOWHERE:
-        neither = [np.logical_or.reduce([m for _, m in causes[p]] or [mask & False]) for p in (BUS_ALONE, LOG_ALONE)]
+    if location == NOWHERE:
+        neither = [np.logical_or.reduce([m for _, m in causes[p]] or [mask & False]) for p in (PUBLISHED, LOGGED)]
         explained = mask & neither[0] & neither[1]
-        account.lines[place, "neither on the bus nor on the disk: the gateway killed, or both away"] += int(
+        account.lines[location, "neither on the bus nor on the disk: the gateway killed, or both away"] += int(
             explained.sum()
         )
         mask = mask & ~explained
-    for cost, cause in causes[place]:
+    for cost, cause in causes[location]:
         explained = mask & cause
-        account.lines[place, cost.reason] += int(explained.sum())
+        account.lines[location, cost.reason] += int(explained.sum())
         if cost.reason == IGNORED_UNSEEN:
             account.read_but_no_sample[board] += int(explained.sum())
         mask = mask & ~explained
-    account.lines[place, "UNEXPLAINED"] += int(mask.sum())
-    account.unexplained += [(place, board, int(n), int(at_ns[n])) for n in np.flatnonzero(mask)]
+    account.lines[location, "UNEXPLAINED"] += int(mask.sum())
+    account.unexplained += [(location, board, int(n), int(at_ns[n])) for n in np.flatnonzero(mask)]
 
 
 def _add_replayed(account: Account, board: int, ghosts: NDArray[np.int64], in_log: NDArray[np.int64]) -> None:

@@ -131,16 +131,16 @@ def _campaign(stage: Stage, draw: random.Random, _: int) -> Course:
     if draw.random() < 0.5:
         stage.campaign.signal(signal.SIGINT)
         yield from _ending(stage.campaign)
-        stage.note_parked("campaign", said=_PARKED in stage.campaign.said)
+        stage.note_parked("campaign", reported=_PARKED in stage.campaign.output)
         stage.campaign.kill()
     elif stage.campaign.kill() == -signal.SIGKILL:
-        stage.note_parked("killed campaign", said=False)
+        stage.note_parked("killed campaign", reported=False)
     stopped = False
     while not stopped:
         stage.stop.start()
         yield from _ending(stage.stop)
         stopped = stage.stop.kill() == 0
-    stage.note_parked("stop", said=True)
+    stage.note_parked("stop", reported=True)
 
 
 def _ending(service: Service) -> Course:

@@ -36,7 +36,7 @@ class Logged:
 
 def read_logs(parts: Sequence[Path]) -> dict[int, Logged]:
     """Read the parts of one gateway's log, which may have been killed many times; by the number of the board."""
-    found: dict[int, Logged] = defaultdict(Logged)
+    logs: dict[int, Logged] = defaultdict(Logged)
     for _, run in groupby(parts, lambda path: path.stem.rsplit("-", 1)[0]):
         decoders: dict[str, StreamDecoder] = {}
         last: dict[int, pb.Status] = {}
@@ -44,7 +44,7 @@ def read_logs(parts: Sequence[Path]) -> dict[int, Logged]:
         for record in LogReader(list(run)).raw(topics_=["state", "status", "event", "raw"]):
             if not record.board.startswith("rig"):
                 continue
-            logged = found[number := int(record.board.removeprefix("rig"))]
+            logged = logs[number := int(record.board.removeprefix("rig"))]
             if record.topic == "state":
                 state = pb.State.FromString(record.data)
                 logged.samples.append((state.i_c_a, state.x_m))
@@ -61,7 +61,7 @@ def read_logs(parts: Sequence[Path]) -> dict[int, Logged]:
                 events = decoders.setdefault(record.board, StreamDecoder()).feed(raw.data)
                 logged.read += [number_of(event.i_c, event.x) for event in events if isinstance(event, State)]
         for number, session in newest:
-            found[number].sessions[session] += 1
+            logs[number].sessions[session] += 1
         for number, status in last.items():
-            found[number].last.append(status)
-    return found
+            logs[number].last.append(status)
+    return logs

@@ -44,7 +44,7 @@ class Fate(IntEnum):
     SENSED = 0
     SENT = 1  # by the board
     INTACT = 2  # at the end of the line, after the faults of the line
-    TAKEN = 3  # by the port of the host
+    RECEIVED = 3  # by the port of the host
 
 
 class Ledger:
@@ -70,7 +70,7 @@ class Ledger:
         if 0 < number < len(self.fate):
             self.fate[number] = max(self.fate[number], fate)
             self.at_ns[number] = time.monotonic_ns()  # a line that stalls keeps samples for a second
-            if fate == Fate.TAKEN and self._early_from is not None and number >= self._early_from:
+            if fate == Fate.RECEIVED and self._early_from is not None and number >= self._early_from:
                 self.early[number] = True
 
     def reset(self) -> None:
@@ -83,7 +83,7 @@ class Ledger:
         self.opened_ns.append(time.monotonic_ns())
         self._early_from = 0
 
-    def asked(self, hello: int) -> None:
+    def note_hello(self, hello: int) -> None:
         """Note a HELLO of the host, by its id; the same one again begins nothing: its answer may have come."""
         if hello != self._hello:
             self._early_from, self._hello = 0, hello
@@ -134,7 +134,7 @@ class LedgerPort:
 
     def __init__(self, port: EmulatedPort, ledger: Ledger) -> None:
         self._port, self._ledger = port, ledger
-        self._offered, self._taken, self._asked = StreamDecoder(), StreamDecoder(), StreamDecoder()
+        self._offered, self._received, self._requests = StreamDecoder(), StreamDecoder(), StreamDecoder()
         self._read = False  # by a host
 
     @property
@@ -153,9 +153,9 @@ class LedgerPort:
 
     def read(self, limit: int) -> bytes:
         data = self._port.read(limit)
-        for event in self._asked.feed(data):
+        for event in self._requests.feed(data):
             if isinstance(event, Message) and event.name == "HELLO":
-                self._ledger.asked(event.int("id"))
+                self._ledger.note_hello(event.int("id"))
         return data
 
     def write(self, data: bytes, wait_s: float = 0.0) -> int:
@@ -165,13 +165,13 @@ class LedgerPort:
         if count and not self._read:
             self._ledger.opened()
         self._read = count > 0
-        for event in self._taken.feed(data[:count]):
+        for event in self._received.feed(data[:count]):
             if isinstance(event, State):
-                self._ledger.came(number_of(event.i_c, event.x), Fate.TAKEN)
+                self._ledger.came(number_of(event.i_c, event.x), Fate.RECEIVED)
             elif isinstance(event, Message) and event.name == "IDENTITY":
                 self._ledger.answered(event.int("id"))
         if count < len(data):  # the next host begins anew; for the same one, the next frame has its own delimiter
-            self._taken = StreamDecoder()
+            self._received = StreamDecoder()
         return count
 
 

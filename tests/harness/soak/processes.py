@@ -92,8 +92,8 @@ class Service:
             )
         self.held.append([])
         end_s = time.monotonic() + HANG_S
-        while self._ready and self._ready not in self.said:
-            assert self.running(), f"{self.name} has ended: {self.said}"
+        while self._ready and self._ready not in self.output:
+            assert self.running(), f"{self.name} has ended: {self.output}"
             assert time.monotonic() < end_s, f"{self.name} is not ready"
             time.sleep(0.02)
 
@@ -107,7 +107,7 @@ class Service:
         return code
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         """What it has said since its last start."""
         return self._file.read_bytes()[self._begin :].decode(errors="replace")
 
@@ -132,12 +132,12 @@ class Service:
         process = self._process
         if process is None or process.poll() is not None:
             return
-        place = Path(f"/proc/{process.pid}")
+        process_folder = Path(f"/proc/{process.pid}")
         with suppress(OSError, KeyError):  # it ends at this moment
-            lines = (place / "status").read_text(encoding="ascii").splitlines()
+            lines = (process_folder / "status").read_text(encoding="ascii").splitlines()
             status = dict(line.split(":", 1) for line in lines if ":" in line)
             resident = float(status["VmRSS"].split()[0]) / 1024.0
-            handles, threads = len(list((place / "fd").iterdir())), int(status["Threads"])
+            handles, threads = len(list((process_folder / "fd").iterdir())), int(status["Threads"])
             self.held[-1].append(Held(time.monotonic(), resident, handles, threads))
 
 

@@ -128,21 +128,21 @@ class Stage:
 
     def do(self, line: BoardLine, action: Callable[[BoardLine], None]) -> None:
         """Let something happen to a board, between two of its ticks; it has happened on return."""
-        done = threading.Event()
+        finished = threading.Event()
 
         def act() -> None:
             action(line)
-            done.set()
+            finished.set()
 
         self._server.call(act)
-        assert done.wait(HANG_S), "the emulator's thread has ended"
+        assert finished.wait(HANG_S), "the emulator's thread has ended"
 
-    def note_parked(self, who: str, *, said: bool) -> None:
+    def note_parked(self, who: str, *, reported: bool) -> None:
         """Note whether the board with a ball is idle and its coil off, and whether `who` has said so."""
         assert self.plant is not None
         board = self.plant.firmware
         assert isinstance(board, Firmware)
-        self.do(self.plant, lambda _: self.parked.append((who, said, board.mode == Mode.IDLE and board.u == 0)))
+        self.do(self.plant, lambda _: self.parked.append((who, reported, board.mode == Mode.IDLE and board.u == 0)))
 
     def inject(self, board: int, fault: str) -> None:
         """Let a fault of the line begin now."""
@@ -163,7 +163,7 @@ class Stage:
         time.sleep(1.0)  # the last bytes are read
         for errand in self.errands:
             errand.kill()
-        wait_for(lambda: "twin of model" in self.twin.said, "twin")  # it may have been started a moment ago
+        wait_for(lambda: "twin of model" in self.twin.output, "twin")  # it may have been started a moment ago
         assert self.twin.end() == 0
         assert [gateway.end() for gateway in self.gateways] == [0] * GATEWAYS
         time.sleep(1.0)

@@ -22,10 +22,10 @@ from pydantic import AfterValidator, Field
 
 from protocol.checked import Keys, Number, RuleError, checked, key
 from protocol.errors import DataError, quoted
-from tests.harness.truth.draw import NAMES, NOTHING, OTHER
+from tests.harness.truth.draw import NAMES, NO_CAUSE, OTHER
 from tests.harness.truth.flights import stamp
 
-ALL = (*NAMES, NOTHING, OTHER)
+ALL = (*NAMES, NO_CAUSE, OTHER)
 SUM_ERROR = 0.01
 COLUMNS = ["recording", "t_s", "x_m"]
 

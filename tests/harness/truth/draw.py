@@ -33,10 +33,10 @@ from tests.harness.truth.flights import floor_m
 # Of ten cases.  `knock-out` and `gateway` need a program that is told about them.
 MIX: tuple[Part, ...] = ("causes", "nulls", "forms", "outside", "composites")
 MIX += ("causes", "nulls", "forms", "outside", "causes")
-NOTHING, OTHER = "nothing", "other"
+NO_CAUSE, OTHER = "nothing", "other"
 NAMES = tuple(sorted(EFFECTS.keys() - INVISIBLE))
 PLACES = ("force", "current", "position", "input", "time")
-_BY_FAMILY = {"amplifier": "input", "force": "force", "motion": "force", "timing": "time"}
+_LOOP_PARTS = {"amplifier": "input", "force": "force", "motion": "force", "timing": "time"}
 _OUTSIDE = {"sensor": "position", "lateral": "position", "bit": "position", "supply": "input", "loose": "input"}
 _HEADER = {"t": "t_s", "u_c": "u_c_V", "i_c": "i_c_A", "x": "x_m", "x_ref": "x_ref_m"}
 _DRAW, _ATTEMPTS = 33, 50
@@ -61,7 +61,7 @@ def place_of(name: str) -> str:
         return _OUTSIDE.get(name.split("-")[0], "force")
     if EFFECTS[name].family == "sensing":
         return "current" if name.startswith("current-sensor") else "position"
-    return _BY_FAMILY[EFFECTS[name].family]
+    return _LOOP_PARTS[EFFECTS[name].family]
 
 
 def draw_set(folder: Path, *, seed: int, count: int, part: str | None = None, quick: bool = False) -> None:
@@ -121,8 +121,8 @@ def write_case(folder: Path, hidden: Hidden, *, quick: bool = False) -> None:
     for line in campaign.read_text(encoding="utf-8").replace(".csv.gz", ".csv").splitlines():
         lines.append(line)
         if line.startswith("use ="):
-            shown = "t_s u_c_V i_c_A".split() if "amplifier-step" in lines[-2] else list(_HEADER.values())
-            lines.append("columns = { " + ", ".join(f'{k} = "{v}"' for k, v in _HEADER.items() if v in shown) + " }")
+            columns = "t_s u_c_V i_c_A".split() if "amplifier-step" in lines[-2] else list(_HEADER.values())
+            lines.append("columns = { " + ", ".join(f'{k} = "{v}"' for k, v in _HEADER.items() if v in columns) + " }")
     campaign.write_text("\n".join(lines) + "\n", encoding="utf-8")
     with (folder / "names.csv").open("w", encoding="utf-8", newline="") as file:
         rows_of_names = [(name, place_of(name), EFFECTS[name].description) for name in NAMES]
@@ -151,8 +151,8 @@ def _draw_case(folder: Path, case: str, part: Part, rng: np.random.Generator, qu
 
 
 def _truth(case: Path, hidden: Hidden) -> Truth:
-    names: Sequence[str] = [OTHER] if hidden.outside else list(hidden.effects) or [NOTHING]
-    there = {**hidden.effects, **hidden.outside}
+    names: Sequence[str] = [OTHER] if hidden.outside else list(hidden.effects) or [NO_CAUSE]
+    strengths = {**hidden.effects, **hidden.outside}
     # The twin's model has the effect by the same formula on the second plant, and the forms by none.
     formula = {} if hidden.form else hidden.effects
     return Truth(
@@ -160,8 +160,8 @@ def _truth(case: Path, hidden: Hidden) -> Truth:
         part=hidden.part,
         seed=hidden.seed,
         names=tuple(names),
-        hidden=there,
-        places=tuple(sorted({place_of(name) for name in there})),
+        hidden=strengths,
+        places=tuple(sorted({place_of(name) for name in strengths})),
         floor_m=floor_m(case, draw_rig(hidden.seed, hidden.plant), formula),  # type: ignore[arg-type]  # no gateway here
     )
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.harness.truth.answer import ALL, write_answer
-from tests.harness.truth.draw import NAMES, NOTHING, OTHER
+from tests.harness.truth.draw import NAMES, NO_CAUSE, OTHER
 from tests.harness.truth.flights import AHEAD, flights
 from tests.harness.truth.residual import MEANS, Regression, forward_bic, pysindy, tabulate
 from twin.api.functions import diagnose, identify, predict
@@ -37,7 +37,7 @@ def diagnosed(case: Path, out: Path, *, quick: bool) -> None:
     data = result.to_json()
     probabilities = probabilities_of(data)
     listed = [*data["causes"], *data.get("candidates", ())]
-    verdict = {"causes-found": "cause", "partly-explained": "cause", "model-adequate": NOTHING}.get(
+    verdict = {"causes-found": "cause", "partly-explained": "cause", "model-adequate": NO_CAUSE}.get(
         result.verdict, OTHER
     )
     names = _known([listed[0]["name"], *listed[0]["indistinguishable_from"]]) if verdict == "cause" and listed else []
@@ -56,14 +56,14 @@ def probabilities_of(diagnosis: Mapping[str, Any]) -> dict[str, float]:
     probabilities = dict.fromkeys(ALL, 0.0)
     listed = [*diagnosis["causes"], *diagnosis.get("candidates", ())]
     for cause in listed:
-        members = {one["name"]: one["log_likelihood_lead"] for one in cause["alternatives"] if not one["stated"]}
+        members = {item["name"]: item["log_likelihood_lead"] for item in cause["alternatives"] if not item["stated"]}
         weights = {name: math.exp(min(lead, 0.0)) for name, lead in ({cause["name"]: 0.0} | members).items()}
         for name, weight in weights.items():
             share = cause["confidence"] / len(listed) * weight / sum(weights.values())
             probabilities[name if name in probabilities else OTHER] += share
     verdict = diagnosis["verdict"]
     if verdict == "model-adequate":
-        probabilities[NOTHING] = ADEQUATE
+        probabilities[NO_CAUSE] = ADEQUATE
     left = 1.0 - math.fsum(probabilities.values())
     if verdict in ("model-adequate", "causes-found"):
         return {name: p + left / len(ALL) for name, p in probabilities.items()}
@@ -74,37 +74,37 @@ def base(case: Path, out: Path) -> None:
     """Answer that nothing is hidden, as sure as a guess; predict by the paper's model at its best."""
     probabilities = dict.fromkeys(ALL, 1.0)
     predicted = _predicted(case, identify(case).model)
-    _write(case, out, probabilities, verdict=NOTHING, place="", names=[], predicted=predicted)
+    _write(case, out, probabilities, verdict=NO_CAUSE, place="", names=[], predicted=predicted)
 
 
 def regressed(case: Path, out: Path, *, pick: str) -> None:
     """Answer by a regression on the residual of the paper's model at its best."""
     model = identify(case).model
     fit, judge = (tabulate(case, model, use) for use in ("fit", "judge"))
-    found = forward_bic(fit, judge) if pick == "bic" else pysindy(fit, judge)
+    regression = forward_bic(fit, judge) if pick == "bic" else pysindy(fit, judge)
     predicted: dict[str, list[tuple[float, float]]] = {
         name: list(pairs) for name, pairs in _predicted(case, model).items()
     }
-    corrected = judge.x_hat - found.correction * fit.residuals[:, 0].std()
+    corrected = judge.x_hat - regression.correction * fit.residuals[:, 0].std()
     for (recording, t), x in zip(judge.keys, corrected.tolist(), strict=True):
         predicted[recording].append((t, x))  # the last row of a time counts
-    probabilities = spread(found)
+    probabilities = spread(regression)
     best = max(probabilities, key=lambda name: probabilities[name])
-    verdict = best if best in (NOTHING, OTHER) else "cause"
+    verdict = best if best in (NO_CAUSE, OTHER) else "cause"
     names = [best] if verdict == "cause" else []
     _write(
         case, out, probabilities, verdict=verdict, place=_places(case).get(best, ""), names=names, predicted=predicted
     )
 
 
-def spread(found: Regression) -> dict[str, float]:
+def spread(regression: Regression) -> dict[str, float]:
     """Probabilities in proportion to the weights of the terms, beside `PRIOR` for all answers."""
-    total = math.fsum(weight for _, _, weight in found.terms)
+    total = math.fsum(weight for _, _, weight in regression.terms)
     probabilities = dict.fromkeys(ALL, PRIOR / len(ALL))
-    for residual, term, weight in found.terms:
+    for residual, term, weight in regression.terms:
         probabilities[MEANS.get((residual, term), OTHER)] += (1.0 - PRIOR) * weight / total
-    if not found.terms:
-        probabilities[NOTHING] += 1.0 - PRIOR
+    if not regression.terms:
+        probabilities[NO_CAUSE] += 1.0 - PRIOR
     return probabilities
 
 

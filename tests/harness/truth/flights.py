@@ -82,6 +82,6 @@ def floor_m(case: Path, rig: PlantConstants, effects: Mapping[str, float]) -> fl
         evidence = gather([record], model.plant)
         rows = np.zeros(len(evidence.series.flags), dtype=bool)
         rows[evidence.series.flags & LOST == 0] = counts  # the series has a row for a lost sample
-        one = floor_rmse(system_of(model, record)._replace(closed_form=False), evidence.samples, AHEAD, rows)
-        total, number = total + float(counts.sum()) * one**2, number + int(counts.sum())
+        rmse_m = floor_rmse(system_of(model, record)._replace(closed_form=False), evidence.samples, AHEAD, rows)
+        total, number = total + float(counts.sum()) * rmse_m**2, number + int(counts.sum())
     return float(np.sqrt(total / number))

@@ -28,7 +28,7 @@ from twin.model.parameters import Model
 
 FEATURES = ("x", "i", "v", "u", "du", "di")
 BACK = 4  # samples over which a speed and a slope are taken
-MOST_TERMS = 8
+MAX_TERMS = 8
 PYTHON = "PYSINDY_PYTHON"
 INSTALL = f"python3 -m venv sindy && sindy/bin/pip install pysindy, then {PYTHON}=sindy/bin/python"
 # (residual, term): the effect that leaves it; terms in PySINDy's spelling.
@@ -119,7 +119,7 @@ def forward_bic(fit: Table, judge: Table) -> Regression:
     for channel, y in zip("xi", target.T, strict=True):
         chosen: list[str] = []
         left, coefficients = float(y @ y), np.empty(0)
-        while len(chosen) < MOST_TERMS:
+        while len(chosen) < MAX_TERMS:
             trials = {name: _least_squares(library, [*chosen, name], y) for name in library if name not in chosen}
             best = min(trials, key=lambda name: trials[name][0])
             gain = number * np.log(left / trials[best][0]) - np.log(number)
@@ -152,11 +152,11 @@ def pysindy(fit: Table, judge: Table) -> Regression:
             names=np.array(FEATURES),
         )
         command = [python_of_pysindy(), str(Path(__file__).with_name("sindy.py")), str(table), str(out)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise DataError(f"pysindy: {done.stderr.strip().splitlines()[-1:]}", remedy="Run it by hand")
-        found = json.loads(out.read_text(encoding="utf-8"))
-    return Regression(correction=np.array(found["correction"]), terms=[tuple(term) for term in found["terms"]])
+        process = subprocess.run(command, capture_output=True, text=True, check=False)
+        if process.returncode:
+            raise DataError(f"pysindy: {process.stderr.strip().splitlines()[-1:]}", remedy="Run it by hand")
+        result = json.loads(out.read_text(encoding="utf-8"))
+    return Regression(correction=np.array(result["correction"]), terms=[tuple(term) for term in result["terms"]])
 
 
 def python_of_pysindy() -> str:
@@ -167,10 +167,10 @@ def python_of_pysindy() -> str:
 def absent_pysindy() -> str:
     """Why PySINDy cannot run; empty if it can."""
     try:
-        done = subprocess.run([python_of_pysindy(), "-c", "import pysindy"], capture_output=True, check=False)
+        process = subprocess.run([python_of_pysindy(), "-c", "import pysindy"], capture_output=True, check=False)
     except OSError as problem:
         return f"{python_of_pysindy()}: {problem.strerror}"
-    return f"{python_of_pysindy()} has no pysindy: {INSTALL}" if done.returncode else ""
+    return f"{python_of_pysindy()} has no pysindy: {INSTALL}" if process.returncode else ""
 
 
 def standardised(fit: Table, judge: Table) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -186,9 +186,9 @@ def standardised(fit: Table, judge: Table) -> tuple[FloatArray, FloatArray, Floa
 def _library(z: FloatArray) -> dict[str, FloatArray]:
     columns = dict(zip(FEATURES, z.T, strict=True))
     library = {"1": np.ones(len(z)), **columns}
-    for n, one in enumerate(FEATURES):
-        library[f"{one}^2"] = columns[one] ** 2
-        library |= {f"{one} {other}": columns[one] * columns[other] for other in FEATURES[n + 1 :]}
+    for n, feature in enumerate(FEATURES):
+        library[f"{feature}^2"] = columns[feature] ** 2
+        library |= {f"{feature} {other}": columns[feature] * columns[other] for other in FEATURES[n + 1 :]}
     v = columns["v"]
     return library | {"v|v|": v * np.abs(v), "sign v": np.sign(v), "x^3": columns["x"] ** 3, "i^3": columns["i"] ** 3}
 

@@ -17,14 +17,14 @@ from statistics import fmean, median
 import numpy as np
 
 from tests.harness.truth.answer import Answer
-from tests.harness.truth.draw import NOTHING, OTHER, Truth
+from tests.harness.truth.draw import NO_CAUSE, OTHER, Truth
 
-LEAST = 1e-3  # probability below which the log score falls no further
+MIN_PROBABILITY = 1e-3  # probability below which the log score falls no further
 BINS = 5
 DRAWS = 2000
 WITHIN_FLOOR = 1.05
 _NO_ANSWER = Answer(
-    verdict="nothing", probabilities={NOTHING: 1.0}, place="", names=(), predictions="none", seconds=0.0
+    verdict="nothing", probabilities={NO_CAUSE: 1.0}, place="", names=(), predictions="none", seconds=0.0
 )
 TITLES = (
     "p(truth)",
@@ -59,7 +59,7 @@ class Score:
     @property
     def log_score(self) -> float:
         """Natural logarithm of the probability on the truth."""
-        return math.log(max(self.p_truth, LEAST))
+        return math.log(max(self.p_truth, MIN_PROBABILITY))
 
 
 def removed_share(base_m: float, error_m: float, floor_m: float) -> float | None:
@@ -72,15 +72,15 @@ def removed_share(base_m: float, error_m: float, floor_m: float) -> float | None
 def score(truth: Truth, answer: Answer, *, base_m: float, error_m: float) -> Score:
     """Judge one answer."""
     top = max(answer.probabilities, key=lambda name: answer.probabilities[name])
-    is_null = truth.names == (NOTHING,)
+    is_null = truth.names == (NO_CAUSE,)
     named = answer.verdict == "cause"
     return Score(
         case=truth.case,
         p_truth=math.fsum(answer.probabilities.get(name, 0.0) for name in truth.names),
         top=answer.probabilities[top],
         is_top=top in truth.names,
-        false_alarm=answer.verdict != NOTHING if is_null else None,
-        false_name=named and not set(answer.names) & set(truth.names) - {NOTHING, OTHER},
+        false_alarm=answer.verdict != NO_CAUSE if is_null else None,
+        false_name=named and not set(answer.names) & set(truth.names) - {NO_CAUSE, OTHER},
         place=None if is_null else answer.place in truth.places,
         class_size=len(answer.names) if named else None,
         removed=removed_share(base_m, error_m, truth.floor_m),
@@ -90,15 +90,15 @@ def score(truth: Truth, answer: Answer, *, base_m: float, error_m: float) -> Sco
 
 def unanswered(truth: Truth, *, base_m: float) -> Score:
     """Rule 3."""
-    one = score(truth, _NO_ANSWER, base_m=base_m, error_m=base_m)
-    return replace(one, p_truth=0.0, top=0.0, is_top=False, false_alarm=None, seconds=None, answered=False)
+    result = score(truth, _NO_ANSWER, base_m=base_m, error_m=base_m)
+    return replace(result, p_truth=0.0, top=0.0, is_top=False, false_alarm=None, seconds=None, answered=False)
 
 
 def calibration_error(scores: Sequence[Score]) -> float:
     """ECE: mean distance of the largest probability from how often it is on the truth, over bins of equal width."""
     bins: dict[int, list[Score]] = {}
-    for one in scores:
-        bins.setdefault(min(int(one.top * BINS), BINS - 1), []).append(one)
+    for result in scores:
+        bins.setdefault(min(int(result.top * BINS), BINS - 1), []).append(result)
     gaps = [len(b) * abs(fmean(s.top for s in b) - fmean(s.is_top for s in b)) for b in bins.values()]
     return math.fsum(gaps) / len(scores)
 
@@ -135,10 +135,10 @@ def table(entries: Mapping[str, Sequence[Score]]) -> str:
 
 
 def _mean(values: Sequence[float | None], form: str, middle: Callable[[Sequence[float]], float] = fmean) -> str:
-    there = [value for value in values if value is not None]
-    return form.format(middle(there)) if there else "-"
+    present = [value for value in values if value is not None]
+    return form.format(middle(present)) if present else "-"
 
 
 def _of(values: Sequence[bool | None]) -> str:
-    there = [value for value in values if value is not None]
-    return f"{sum(there)} of {len(there)}" if there else "-"
+    present = [value for value in values if value is not None]
+    return f"{sum(present)} of {len(present)}" if present else "-"

@@ -76,10 +76,10 @@ class Lab:
         self._states: list[State] = []
         self._answers: list[Message] = []
         self._time = 0
-        self.ask("HELLO", session=7, version_min=1, version_max=1)
-        self.ask("SET_HOST_LOSS", policy=0, timeout=60000)
+        self.request("HELLO", session=7, version_min=1, version_max=1)
+        self.request("SET_HOST_LOSS", policy=0, timeout=60000)
 
-    def ask(self, name: str, **fields: Value) -> Message:
+    def request(self, name: str, **fields: Value) -> Message:
         self._id = self._id % 255 + 1
         self._answers.clear()
         self.firmware.feed(encode_frame(encode_body(name, id=self._id, **fields)))
@@ -119,11 +119,11 @@ class Lab:
 
     def capture(self, u_from_v: float, u_to_v: float, *, pre: int = 200, count: int = 1000) -> Capture:
         u_from, u_to = INPUT.to_count(u_from_v), INPUT.to_count(u_to_v)
-        self.ask("CAPTURE", u_from=u_from, u_to=u_to, pre=pre, count=count)
+        self.request("CAPTURE", u_from=u_from, u_to=u_to, pre=pre, count=count)
         self.run(10 + math.ceil(count * 0.04 / 2) + 2)
         samples: list[int] = []
         while len(samples) < count:
-            block = self.ask("READ_CAPTURE", index=len(samples))
+            block = self.request("READ_CAPTURE", index=len(samples))
             data = block.values["samples"]
             assert isinstance(data, bytes)
             for a, b, c in zip(data[::3], data[1::3], data[2::3], strict=True):
@@ -152,7 +152,7 @@ class Lab:
         `i_c_a` is the current that flows, where it is not that of the point.
         """
         k = gains_in_counts(Law.LQI, gains, point)
-        self.ask(
+        self.request(
             "SET_GAINS",
             law=int(Law.LQI),
             **{f"k{n + 1}_mantissa": k.mantissas[n] for n in range(4)},
@@ -161,12 +161,12 @@ class Lab:
             x_0=k.x_0,
             u_0=k.u_0,
         )
-        self.ask("SET_REFERENCE", x_ref=POSITION.to_count(point[1]))
-        self.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP))
+        self.request("SET_REFERENCE", x_ref=POSITION.to_count(point[1]))
+        self.request("SET_MODE", mode=int(Mode.CLOSED_LOOP))
         self.plant.set_state(point[1], i_c_a=point[0] if i_c_a is None else i_c_a)
 
     def excite(self, shape: Shape, *, on_reference: bool, amplitude: int, offset: int, period: int, seed: int) -> None:
-        self.ask(
+        self.request(
             "EXCITE",
             shape=int(shape),
             target=int(on_reference),
@@ -184,7 +184,7 @@ def run_campaign(
 ) -> list[Record]:
     """Amplifier captures at three levels, a sawtooth to lift-off, multisine and PRBS on the reference."""
     lab = Lab(rig, effects=effects, seed=seed)
-    lab.ask("SET_MODE", mode=int(Mode.OPEN_LOOP))
+    lab.request("SET_MODE", mode=int(Mode.OPEN_LOOP))
     captures = tuple(lab.capture(a, b) for a, b in ((0.5, 1.5), (1.5, 2.5), (2.5, 0.5)))
     empty = np.empty(0)
     records = [
@@ -204,7 +204,7 @@ def run_campaign(
     middle, swing = INPUT.to_count(top / 2), INPUT.to_count(top / 2)
     lab.excite(Shape.SAWTOOTH, on_reference=False, amplitude=swing, offset=middle, period=1500, seed=1)
     records.append(lab.record("sawtooth", "sawtooth", 4400))
-    lab.ask("SET_MODE", mode=int(Mode.IDLE))
+    lab.request("SET_MODE", mode=int(Mode.IDLE))
     lab.fly()
     lab.run(200)
     half = round(flight_s / TICK_S / 2)

@@ -29,15 +29,15 @@ def with_causes(*names: str, sizes: dict[str, float] | None = None) -> Model:
     for name in names:
         cause = BY_NAME[name]
         values = {
-            one.name: one.neutral if math.isfinite(one.spread) else one.probes[(len(one.probes) - 1) // 2]
-            for one in cause.parameters
+            item.name: item.neutral if math.isfinite(item.spread) else item.probes[(len(item.probes) - 1) // 2]
+            for item in cause.parameters
         }
         values[cause.strength.name] = (sizes or {}).get(name, values[cause.strength.name])
-        values |= {one: size for one in values if (size := (sizes or {}).get(f"{name}.{one}")) is not None}
+        values |= {item: size for item in values if (size := (sizes or {}).get(f"{name}.{item}")) is not None}
         causes.append(
             ModelCause(
                 name=name,
-                parameters={one.name: Parameter(value=values[one.name], unit=one.unit) for one in cause.parameters},
+                parameters={item.name: Parameter(value=values[item.name], unit=item.unit) for item in cause.parameters},
             )
         )
     return dataclasses.replace(model, causes=tuple(causes))
@@ -48,7 +48,7 @@ def with_curve(name: str, low: float, high: float) -> Model:
     cause = BY_NAME[name]
     ends = {cause.parameters[0].name: low, cause.parameters[1].name: high}
     values = ends | {f"k_{j}": 0.05 * (-1.0) ** j * j / COEFFICIENTS for j in range(1, COEFFICIENTS + 1)}
-    parameters = {one.name: Parameter(value=values[one.name], unit=one.unit) for one in cause.parameters}
+    parameters = {item.name: Parameter(value=values[item.name], unit=item.unit) for item in cause.parameters}
     return dataclasses.replace(Model.load("ce152"), causes=(ModelCause(name=name, parameters=parameters),))
 
 

@@ -28,7 +28,7 @@ class Instance:
 
     slave: Any
     references: Mapping[str, int]
-    said: list[str]  # its log
+    log: list[str]  # its log
 
     def set(self, name: str, value: float) -> None:
         flag = self.slave.setBoolean
@@ -64,17 +64,17 @@ def running(path: Path, settings: Mapping[str, float] | None = None) -> Iterator
     unpacked = fmpy.extract(str(path), unzipdir=str(path.with_suffix("")))
     references = {variable.name: variable.valueReference for variable in description.modelVariables}
     kind = FMU2Slave if description.fmiVersion == "2.0" else FMU3Slave
-    said: list[str] = []
+    log: list[str] = []
     slave = kind(
         guid=description.guid, unzipDirectory=unpacked, modelIdentifier=description.coSimulation.modelIdentifier
     )
-    instance = Instance(slave, references, said)
+    instance = Instance(slave, references, log)
     if kind is FMU2Slave:
         callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi2CallbackLoggerTYPE(lambda env, name, status, category, text: said.append(text.decode()))
+        callbacks.logger = fmi2CallbackLoggerTYPE(lambda env, name, status, category, text: log.append(text.decode()))
         slave.instantiate(callbacks=callbacks)
     else:
-        slave.instantiate(logMessage=lambda env, status, category, text: said.append(text.decode()))
+        slave.instantiate(logMessage=lambda env, status, category, text: log.append(text.decode()))
     instance.begin(settings or {})
     yield instance
     slave.terminate()

@@ -52,6 +52,6 @@ def captured(ball: Ball, seed: int) -> Record:
     )  # fmt: skip
 
 
-def judged(records: list[Record], model: Model, controller: Controller | None = None) -> Validation:
+def validate_records(records: list[Record], model: Model, controller: Controller | None = None) -> Validation:
     sources: list[Source] = [source_of(r, model, controller=controller or controller_of(BALL)) for r in records]
     return validate_sources(sources, model)

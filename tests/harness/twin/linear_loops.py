@@ -57,7 +57,7 @@ class Loop:
         """The true i_c / u_c and x / u_c."""
         phi, new, old = self.discrete()
         z = np.exp(2j * np.pi * f_hz * TICK_S)
-        both = np.stack([np.linalg.solve(one * np.eye(4) - phi, new + old / one)[:, 0] for one in z], axis=1)
+        both = np.stack([np.linalg.solve(point * np.eye(4) - phi, new + old / point)[:, 0] for point in z], axis=1)
         return both[0], both[3 if self.lag_s else 1]
 
     def fly(self, r: Array, *, flights: int, seed: int) -> Array:

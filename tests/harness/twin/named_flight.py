@@ -26,9 +26,9 @@ class AtOnce(Executor):
     """Does the work in the caller's thread."""
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        done: Future[T] = Future()
-        done.set_result(fn(*args, **kwargs))
-        return done
+        future: Future[T] = Future()
+        future.set_result(fn(*args, **kwargs))
+        return future
 
 
 class NamedFlight:
@@ -66,19 +66,19 @@ class NamedFlight:
     def run(self, seconds: float) -> list[pb.TwinDiagnosis]:
         """Fly on; the new messages."""
         count = len(self.messages)
-        for one in self.lab.states(round(seconds / TICK_S)):
+        for sample in self.lab.states(round(seconds / TICK_S)):
             state = pb.State(
-                sequence=one.sequence,
-                tick=one.sequence,
+                sequence=sample.sequence,
+                tick=sample.sequence,
                 session=1,
-                t_s=one.sequence * TICK_S,
-                host_time_ns=round(one.sequence * TICK_S * 1e9),
-                i_c_a=CURRENT.to_si(one.i_c),
-                x_m=POSITION.to_si(one.x),
-                u_c_v=INPUT.to_si(one.u_c),
-                x_ref_m=POSITION.to_si(one.x_ref),
-                mode=_MODES[Mode(one.flags & 3)],
-                flags=one.flags & ~3,
+                t_s=sample.sequence * TICK_S,
+                host_time_ns=round(sample.sequence * TICK_S * 1e9),
+                i_c_a=CURRENT.to_si(sample.i_c),
+                x_m=POSITION.to_si(sample.x),
+                u_c_v=INPUT.to_si(sample.u_c),
+                x_ref_m=POSITION.to_si(sample.x_ref),
+                mode=_MODES[Mode(sample.flags & 3)],
+                flags=sample.flags & ~3,
             )
             self.take(state)
         return self.messages[count:]

@@ -24,9 +24,9 @@ def entry(value: float, unit: str) -> dict[str, Any]:
 
 def cause(name: str, strength: float) -> dict[str, Any]:
     """The JSON of a cause, its other parameters as the emulator fixes them: 30 s of heating, 7 Hz of shaking."""
-    first, *others = BY_NAME[name].parameters
+    first, *rest = BY_NAME[name].parameters
     parameters = {first.name: entry(strength, first.unit)}
-    return {"name": name, "parameters": parameters | {one.name: entry(one.neutral, one.unit) for one in others}}
+    return {"name": name, "parameters": parameters | {item.name: entry(item.neutral, item.unit) for item in rest}}
 
 
 def true_model(rig: PlantConstants = CE152, effects: Mapping[str, float] | None = None) -> Model:

@@ -31,14 +31,14 @@ def wait(condition: Callable[[], bool], what: str, seconds: float = HANG_S) -> N
         time.sleep(0.01)
 
 
-def wait_for_count(found: Callable[[], int], count: int, what: str, seconds: float = HANG_S) -> None:
+def wait_for_count(read_count: Callable[[], int], count: int, what: str, seconds: float = HANG_S) -> None:
     deadline = time.monotonic() + seconds
-    while (now := found()) != count:
+    while (now := read_count()) != count:
         assert time.monotonic() < deadline, f"{now} instead of {count} {what} within {seconds} s"
         time.sleep(0.01)
 
 
-class Heard:
+class Subscriber:
     """What a subscriber on everything of one site has received, by key; of each tick what its batch has.
 
     `singles` are the messages of one tick: sent only once the twin has noticed that somebody subscribes to them.
@@ -85,10 +85,10 @@ def introduce_to(session: zenoh.Session, service: TwinService, rig: Rig, key: st
 
     `matching_status` does not say that: zenoh drops what is sent before its routes are computed, some ms after it.
     """
-    heard_before = service.parameters_received
+    count_before = service.parameters_received
 
-    def heard() -> bool:
+    def has_arrived() -> bool:
         session.put(key, rig.parameters().SerializeToString())
-        return service.parameters_received > heard_before
+        return service.parameters_received > count_before
 
-    wait(heard, "parameters at the twin")
+    wait(has_arrived, "parameters at the twin")

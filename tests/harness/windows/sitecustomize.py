@@ -20,7 +20,7 @@ import sys
 from types import ModuleType
 from typing import Any
 
-OURS = {"board51", "firmware", "gateway", "protocol", "twin", "__main__"}
+PACKAGES = {"board51", "firmware", "gateway", "protocol", "twin", "__main__"}
 ABSENT_MODULES = {"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"}
 ABSENT = {
     "os": "fork forkpty geteuid getgid getpgid getpriority getuid killpg nice openpty O_CLOEXEC O_NOCTTY O_NONBLOCK "
@@ -121,7 +121,7 @@ def _modules() -> dict[str, ModuleType]:
 
 
 def _import(name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> Any:
-    if level == 0 and globals and str(globals.get("__name__")).partition(".")[0] in OURS:
+    if level == 0 and globals and str(globals.get("__name__")).partition(".")[0] in PACKAGES:
         root = name.partition(".")[0]
         if root in ABSENT_MODULES:
             raise ModuleNotFoundError(f"No module named {root!r} on Windows", name=root)

@@ -22,8 +22,8 @@ NAMES = ("t", "u_c", "i_c", "x", "x_ref")
 
 
 def python(code: str) -> None:
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
 
 
 def write(folder: Path, record: Record) -> str:
@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         text += f'[[recording]]\nfile = "{write(folder, record)}"\nkind = "{record.kind}"\nuse = "{use}"\n'
     (folder / "campaign.toml").write_text(text)
     x = np.linspace(0.5e-3, 5.0e-3, 8)
-    rest = "i_c,x\n" + "".join(f"{250.0 * (CE152.travel_m + 2.4e-3 - one):.6f},{one:.6f}\n" for one in x)
+    rest = "i_c,x\n" + "".join(f"{250.0 * (CE152.travel_m + 2.4e-3 - x_m):.6f},{x_m:.6f}\n" for x_m in x)
     (folder / "rest.csv").write_text(rest)
     (folder / "rest.toml").write_text(
         f'[plant]\n{plant}[[recording]]\nfile = "rest.csv"\nkind = "equilibria"\nuse = "fit"\n'
@@ -89,13 +89,13 @@ def test_an_export_is_what_the_command_writes(model: Model, tmp_path: Path) -> N
 def test_a_model_is_what_the_command_writes(
     folder: Path, model: Model, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = identify(Campaign.load(folder))
+    identification = identify(Campaign.load(folder))
     model.save(tmp_path / "model.json")
 
-    assert plain(found.to_json()) == printed(capsys, "identify", folder, "--quiet")
-    assert found.usable
+    assert plain(identification.to_json()) == printed(capsys, "identify", folder, "--quiet")
+    assert identification.usable
     assert Model.load(tmp_path / "model.json").to_json() == model.to_json()
-    assert found.table().startswith("K_A") or "K_A" in found.table()
+    assert identification.table().startswith("K_A") or "K_A" in identification.table()
 
 
 @pytest.mark.slow
@@ -104,15 +104,15 @@ def test_a_validation_is_what_the_command_writes(
 ) -> None:
     model.save(tmp_path / "model.json")
 
-    found = validate(folder, model)
-    found.save(tmp_path / "saved", title="Validation of model.json on ce152")
+    validation = validate(folder, model)
+    validation.save(tmp_path / "saved", title="Validation of model.json on ce152")
 
-    shown = printed(capsys, "validate", folder, "--model", tmp_path / "model.json", "--out", tmp_path / "out")
-    assert plain(found.to_json()) == shown
+    output = printed(capsys, "validate", folder, "--model", tmp_path / "model.json", "--out", tmp_path / "out")
+    assert plain(validation.to_json()) == output
     for name in ("report.html", "validation.json"):
         assert (tmp_path / "saved" / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
-    assert found.horizon_s.shape == found.rmse_m.shape == found.floor_m.shape
-    figures = found.figures()
+    assert validation.horizon_s.shape == validation.rmse_m.shape == validation.floor_m.shape
+    figures = validation.figures()
     assert {"prediction", "residuals"} <= set(figures)
     assert all(isinstance(figure, Figure) for figure in figures.values())
 
@@ -122,7 +122,7 @@ def test_a_prediction_is_what_the_command_writes(
 ) -> None:
     model.save(tmp_path / "model.json")
 
-    found = predict(model, folder / "prbs.csv", horizon_samples=5, campaign=folder)
+    prediction = predict(model, folder / "prbs.csv", horizon_samples=5, campaign=folder)
 
     words: list[str | Path] = [
         "predict",
@@ -133,55 +133,55 @@ def test_a_prediction_is_what_the_command_writes(
         "--horizon",
         "5",
     ]
-    assert plain(found.to_json()) == printed(capsys, *words, "--out", tmp_path / "pred.csv")
-    assert found.to_csv() == (tmp_path / "pred.csv").read_text()
-    assert found.t_s.shape == found.x_m.shape == found.x_hat_m.shape
-    assert found.rmse_m == pytest.approx(np.sqrt(np.mean((found.x_m - found.x_hat_m) ** 2)))
+    assert plain(prediction.to_json()) == printed(capsys, *words, "--out", tmp_path / "pred.csv")
+    assert prediction.to_csv() == (tmp_path / "pred.csv").read_text()
+    assert prediction.t_s.shape == prediction.x_m.shape == prediction.x_hat_m.shape
+    assert prediction.rmse_m == pytest.approx(np.sqrt(np.mean((prediction.x_m - prediction.x_hat_m) ** 2)))
 
 
 def test_a_design_is_what_the_command_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = design("ce152", x_m=2e-3)
+    controller = design("ce152", x_m=2e-3)
 
-    shown = printed(capsys, "design", "ce152", "--operating-point", "2e-3", "--out", tmp_path / "controller.json")
-    assert plain(found.report()) == shown
-    assert plain(found.to_json()) == json.loads((tmp_path / "controller.json").read_text())
-    assert found.gains.shape == (4,)
-    assert found.stable
-    assert abs(found.poles[0]) < 1.0
+    output = printed(capsys, "design", "ce152", "--operating-point", "2e-3", "--out", tmp_path / "controller.json")
+    assert plain(controller.report()) == output
+    assert plain(controller.to_json()) == json.loads((tmp_path / "controller.json").read_text())
+    assert controller.gains.shape == (4,)
+    assert controller.stable
+    assert abs(controller.poles[0]) < 1.0
 
 
 @pytest.mark.slow
 def test_a_diagnosis_of_points_of_rest_is_what_the_command_writes(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = diagnose(folder / "rest.toml")
-    found.save(tmp_path / "saved")
+    diagnosis = diagnose(folder / "rest.toml")
+    diagnosis.save(tmp_path / "saved")
 
-    shown = printed(capsys, "diagnose", folder / "rest.toml", "--quiet", "--out", tmp_path / "out")
-    assert plain(found.to_json()) == shown
+    output = printed(capsys, "diagnose", folder / "rest.toml", "--quiet", "--out", tmp_path / "out")
+    assert plain(diagnosis.to_json()) == output
     for name in ("report.html", "diagnosis.json", "extended_model.json"):
         assert (tmp_path / "saved" / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
-    assert "air-gap-offset" in found.causes
-    assert list(found.figures()) == ["points"]
+    assert "air-gap-offset" in diagnosis.causes
+    assert list(diagnosis.figures()) == ["points"]
 
 
 @pytest.mark.slow
 def test_a_diagnosis_of_flights_is_what_the_command_writes(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = diagnose(folder, quick=True)
-    found.save(tmp_path / "saved")
+    diagnosis = diagnose(folder, quick=True)
+    diagnosis.save(tmp_path / "saved")
 
-    shown = printed(capsys, "diagnose", folder, "--quick", "--quiet", "--out", tmp_path / "out")
-    ours = plain(found.to_json())
-    for timed in (ours, shown):  # wall times differ from run to run
+    output = printed(capsys, "diagnose", folder, "--quick", "--quiet", "--out", tmp_path / "out")
+    library_output = plain(diagnosis.to_json())
+    for timed in (library_output, output):  # wall times differ from run to run
         assert isinstance(timed, dict)
         timed.pop("stages_s", None)
-    assert ours == shown
+    assert library_output == output
     extended = (tmp_path / "saved" / "extended_model.json").read_text()
     assert extended == (tmp_path / "out" / "extended_model.json").read_text()
-    assert {"prediction", "trace", "error"} <= set(found.figures())
-    assert found.summary(None).startswith(found.sentence)
+    assert {"prediction", "trace", "error"} <= set(diagnosis.figures())
+    assert diagnosis.summary(None).startswith(diagnosis.sentence)
 
 
 def test_errors_are_the_project_s_with_a_remedy(folder: Path, model: Model, tmp_path: Path) -> None:

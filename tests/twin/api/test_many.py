@@ -50,7 +50,7 @@ def content(folder: Path) -> dict[str, Any]:
 
 def workers() -> list[int]:
     """The processes that Dask has started for this one."""
-    found = []
+    process_ids = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             try:
@@ -59,8 +59,8 @@ def workers() -> list[int]:
             except OSError:
                 continue
             if int(parent) == os.getpid() and words.startswith(b"dask worker"):
-                found.append(int(entry.name))
-    return found
+                process_ids.append(int(entry.name))
+    return process_ids
 
 
 @pytest.mark.posix

@@ -36,7 +36,7 @@ def fly(effects: dict[str, float], seed: int, *, ticks: int = 6000) -> Record:
 
 def with_values(model: Model, day: str, values: dict[str, float]) -> Model:
     parameters = {
-        key: replace(one, value=values.get(key, one.value), ci95=None) for key, one in model.parameters.items()
+        key: replace(entry, value=values.get(key, entry.value), ci95=None) for key, entry in model.parameters.items()
     }
     return replace(model, parameters=parameters, provenance={"measured": day})
 
@@ -54,21 +54,21 @@ def high_coil() -> Record:
 
 def test_the_model_that_knows_the_effect_predicts_better(high_coil: Record) -> None:
     models = (true_model(), true_model(effects={"air-gap-offset": 4e-4}))
-    found = compare_models(models, [high_coil])
-    whole = [change for change in found.changes if change.region == WHOLE]
+    comparison = compare_models(models, [high_coil])
+    whole = [change for change in comparison.changes if change.region == WHOLE]
     assert [round(change.horizon_s * 1e3) for change in whole] == [2, 10, 20, 40]
     at_20_ms = whole[2]
     assert at_20_ms.significant
     assert at_20_ms.ci95[1] < 0.8
     assert at_20_ms.ci95[0] < at_20_ms.ratio < at_20_ms.ci95[1]
-    assert found.answer().startswith("emulated + air-gap-offset predicts better. ")
+    assert comparison.answer().startswith("emulated + air-gap-offset predicts better. ")
 
 
 @pytest.mark.slow
 def test_equal_models_do_not_differ(high_coil: Record) -> None:
-    found = compare_models((true_model(), true_model()), [high_coil])
-    assert not found.differs
-    assert found.names == ("emulated (no. 1)", "emulated (no. 2)")
+    comparison = compare_models((true_model(), true_model()), [high_coil])
+    assert not comparison.differs
+    assert comparison.names == ("emulated (no. 1)", "emulated (no. 2)")
 
 
 @pytest.mark.slow
@@ -89,13 +89,13 @@ def test_flights_of_one_rig_seldom_differ() -> None:
 def test_the_interval_of_a_ratio_holds_the_truth_as_often_as_stated() -> None:
     """Equal errors with blocks of random size and correlated sides: 95 % of 400 intervals, within 4 sigma."""
     rng = np.random.default_rng(3)
-    inside = 0
+    covered = 0
     for _ in range(400):
         common = rng.gamma(3.0, size=40)
         sides = [Totals(squares=common * rng.chisquare(20, 40), counts=np.full(40, 500.0)) for _ in range(2)]
         ratio = np.log(sides[1].squares.sum() / sides[0].squares.sum())
-        inside += abs(ratio) < 2.02 * sides[1].relative_spread(sides[0])
-    assert abs(inside / 400 - 0.95) < 4 * np.sqrt(0.95 * 0.05 / 400)
+        covered += abs(ratio) < 2.02 * sides[1].relative_spread(sides[0])
+    assert abs(covered / 400 - 0.95) < 4 * np.sqrt(0.95 * 0.05 / 400)
 
 
 def test_a_drift_is_found_and_dated() -> None:
@@ -104,10 +104,10 @@ def test_a_drift_is_found_and_dated() -> None:
         with_values(model, f"2026-{month:02}-03", {"K_c": model.K_c * (1.0 - 0.03 * n)})
         for n, month in enumerate((9, 10, 11))
     ]
-    found = compare_over_time([drift[2], drift[0], drift[1]])
-    assert found.days == ("2026-09-03", "2026-10-03", "2026-11-03")
-    assert [one.name for one in found.parameters if one.significant] == ["K_c"]
-    assert found.answer() == (
+    comparison = compare_over_time([drift[2], drift[0], drift[1]])
+    assert comparison.days == ("2026-09-03", "2026-10-03", "2026-11-03")
+    assert [parameter.name for parameter in comparison.parameters if parameter.significant] == ["K_c"]
+    assert comparison.answer() == (
         "K_c changed by -6 % from first to last (-8.77 .. -3.23 %). No other parameter changed significantly."
     )
 
@@ -115,14 +115,14 @@ def test_a_drift_is_found_and_dated() -> None:
 def test_no_drift_is_found_where_there_is_none() -> None:
     """Four parameters over five models, 400 times: in 5 % of them one changes, within 4 sigma."""
     rng, model = np.random.default_rng(7), true_model()
-    stds = {name: one.std or 0.0 for name, one in model.parameters.items()}
+    stds = {name: entry.std or 0.0 for name, entry in model.parameters.items()}
     wrong = 0
     for _ in range(400):
         draws = []
         for _ in range(5):
-            values = {name: one.value + rng.normal(0.0, stds[name]) for name, one in model.parameters.items()}
+            values = {name: entry.value + rng.normal(0.0, stds[name]) for name, entry in model.parameters.items()}
             draws.append(with_values(model, "", values))
-        wrong += any(one.significant for one in courses(draws))
+        wrong += any(entry.significant for entry in courses(draws))
     assert abs(wrong / 400 - 0.05) < 4 * np.sqrt(0.05 * 0.95 / 400)
 
 

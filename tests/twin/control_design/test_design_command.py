@@ -15,7 +15,7 @@ def test_it_writes_what_a_board_is_to_be_loaded_with(tmp_path: Path, capsys: pyt
 
     code = board51.main(["design", "ce152", "--observer", "--out", str(out)])
 
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     written = json.loads(out.read_text())
     assert code == 0
     assert written["law"] == "lqi"
@@ -23,20 +23,20 @@ def test_it_writes_what_a_board_is_to_be_loaded_with(tmp_path: Path, capsys: pyt
     assert written["sample_time_s"] == 2e-3
     assert written["operating_point"]["x_0_m"] == pytest.approx(2.85e-3)
     assert written["observer"]["runs_on_board"] is False
-    assert "the backward difference costs" in said
-    assert "cannot run it" in said
-    assert "robustness was not checked" in said
+    assert "the backward difference costs" in output
+    assert "cannot run it" in output
+    assert "robustness was not checked" in output
 
 
 def test_json_holds_everything(capsys: pytest.CaptureFixture[str]) -> None:
     code = board51.main(["design", "ce152", "--law", "pid", "--json"])
 
-    found = json.loads(capsys.readouterr().out)
+    report = json.loads(capsys.readouterr().out)
     assert code == 0
-    assert found["stable"]
-    assert found["gains"][3] == 0.0
-    assert [loop["name"] for loop in found["loops"]][1] == "backward difference"
-    assert found["loops"][2]["delay_margin_s"] > 0.0
+    assert report["stable"]
+    assert report["gains"][3] == 0.0
+    assert [loop["name"] for loop in report["loops"]][1] == "backward difference"
+    assert report["loops"][2]["delay_margin_s"] > 0.0
 
 
 def test_the_gains_to_be_replaced_stand_beside_the_new_ones_and_thin_margins_are_said(
@@ -50,12 +50,12 @@ def test_the_gains_to_be_replaced_stand_beside_the_new_ones_and_thin_margins_are
 
     code = board51.main(["design", "ce152", "--law", "pid", "--before", str(before), "--analysis", str(after)])
 
-    said, found = capsys.readouterr().out, json.loads(after.read_text())
+    output, analysis = capsys.readouterr().out, json.loads(after.read_text())
     assert code == 0
-    assert found["before"]["phase_margin_deg"] == pytest.approx(40.9, abs=0.1)
-    assert found["before"]["gain_margin"][1] > 2.0 > found["loops"][2]["gain_margin"][1]
-    assert "small phase margin: 26 deg" in said
-    assert "small gain margin: stable for 0.30 to 1.59 times the gain" in said
+    assert analysis["before"]["phase_margin_deg"] == pytest.approx(40.9, abs=0.1)
+    assert analysis["before"]["gain_margin"][1] > 2.0 > analysis["loops"][2]["gain_margin"][1]
+    assert "small phase margin: 26 deg" in output
+    assert "small gain margin: stable for 0.30 to 1.59 times the gain" in output
     assert board51.main(["design", "ce152", "--sample-time", "0.001", "--before", str(before)]) == 2
     assert "are for T_s = 0.002 s, not 0.001 s" in capsys.readouterr().err
     assert board51.main(["design", "ce152", "--out", str(before)]) == 0
@@ -74,7 +74,7 @@ def test_an_unstable_loop_is_not_written(tmp_path: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "text"),
     [
         (["nowhere.json"], "cannot be read"),
         (["ce152", "--operating-point", "0.0057"], "not between the stops"),
@@ -91,12 +91,12 @@ def test_an_unstable_loop_is_not_written(tmp_path: Path, capsys: pytest.CaptureF
         (["ce152", "--send", "Rig 1"], "is not a name"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_one_line_and_exit_code_2(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
     code = board51.main(["design", *words])
 
     err = capsys.readouterr().err
     assert code == 2
-    assert said in err
+    assert text in err
     assert err.count("\n") == 1
 
 
@@ -123,7 +123,7 @@ def test_what_is_not_known_for_sure_is_said(tmp_path: Path, capsys: pytest.Captu
 
     code = board51.main(["design", str(tmp_path / "m.json")])
 
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert code == 0
-    assert "b = 0.02 N s/m is not-identifiable" in said
-    assert "1 sample(s) late" in said
+    assert "b = 0.02 N s/m is not-identifiable" in output
+    assert "1 sample(s) late" in output

@@ -22,7 +22,7 @@ from twin.model.linear import linearise as numerically
 
 T_S = 2e-3
 MIDDLE_M = 2.85e-3
-LATE = {"actuation-delay": 2e-3, "position-sensor-lag": 2.5e-3, "eddy-current-lag": 1.5e-3}
+DELAYS = {"actuation-delay": 2e-3, "position-sensor-lag": 2.5e-3, "eddy-current-lag": 1.5e-3}
 
 
 def error_m(effects: dict[str, float], made: Design) -> float:
@@ -42,20 +42,20 @@ def test_the_linearisation_of_the_kernel_is_the_papers_14(x_m: float) -> None:
     """Central differences of steps of 1e-4 of what there is: squares of that, and rounding over the step, are left."""
     model = true_model()
 
-    for exact, found in zip(linearise(model, x_m), numerically(model, x_m), strict=True):
-        assert np.allclose(found, exact, rtol=1e-5, atol=1e-6 * np.max(np.abs(exact)))
+    for exact, approximate in zip(linearise(model, x_m), numerically(model, x_m), strict=True):
+        assert np.allclose(approximate, exact, rtol=1e-5, atol=1e-6 * np.max(np.abs(exact)))
 
 
 def test_gains_designed_with_the_delays_fly_where_those_without_drop_the_ball() -> None:
     """Largest pole on the model: 1.11 without, 0.97 with; so on the emulated rig, whose delays are its own."""
-    extended = true_model(effects=LATE)
+    extended = true_model(effects=DELAYS)
     plain = design(replace(extended, causes=()))
     aware = design(extended)
 
     assert aware.board.stable
     assert abs(aware.board.poles[0]) < 0.98
-    assert error_m(LATE, aware) < 0.25e-3
-    assert error_m(LATE, plain) > 1.0e-3
+    assert error_m(DELAYS, aware) < 0.25e-3
+    assert error_m(DELAYS, plain) > 1.0e-3
 
 
 def test_the_operating_point_is_where_the_rig_with_its_causes_rests() -> None:
@@ -85,9 +85,9 @@ def test_the_command_says_what_the_causes_change(tmp_path: Path, capsys: pytest.
 
     assert board51.main(["design", str(path), "--json"]) == 0
 
-    told = json.loads(capsys.readouterr().out)
-    said = "\n".join(told["causes"])
-    assert "air-gap-offset: the coil's plane is higher than x_max (d = 0.0008 m)" in said
-    assert "without them: i_c = 0.6365 A and u_c = 2.1430 V" in said
-    assert "dry friction is left out" in said
-    assert "air-gap-offset.d_m" in told["robustness"]["varied"]
+    report = json.loads(capsys.readouterr().out)
+    causes_text = "\n".join(report["causes"])
+    assert "air-gap-offset: the coil's plane is higher than x_max (d = 0.0008 m)" in causes_text
+    assert "without them: i_c = 0.6365 A and u_c = 2.1430 V" in causes_text
+    assert "dry friction is left out" in causes_text
+    assert "air-gap-offset.d_m" in report["robustness"]["varied"]

@@ -15,8 +15,8 @@ from twin.diagnosis.equilibria import to_json as static_json
 @pytest.fixture(autouse=True)
 def _every_diagnosis_agrees_with_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     def checked(written: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]]:
-        def write(found: Any) -> dict[str, Any]:
-            data = written(found)
+        def write(diagnosis: Any) -> dict[str, Any]:
+            data = written(diagnosis)
             assert not disagreements(data)
             return data
 

@@ -57,8 +57,8 @@ def test_the_derivative_by_the_place_of_a_stop_is_the_difference(campaign: Campa
     try:
         base, derivatives = criterion.derivatives(bent, STOPS)
         for name, derivative in zip(STOPS, derivatives, strict=True):
-            by = derivative_step(bent, name, plant)
-            difference = (criterion.outputs(moved(bent, name, by, plant)) - base) / by
+            step = derivative_step(bent, name, plant)
+            difference = (criterion.outputs(moved(bent, name, step, plant)) - base) / step
             assert np.nanmax(np.abs(derivative)) > 1e-6
             np.testing.assert_allclose(derivative, difference, rtol=0.0, atol=1e-8)
     finally:
@@ -67,7 +67,7 @@ def test_the_derivative_by_the_place_of_a_stop_is_the_difference(campaign: Campa
 
 @pytest.mark.sample
 def test_half_a_sine_is_found_as_a_bow_of_that_height_and_nothing_else(campaign: Campaign) -> None:
-    found = diagnose(campaign)
+    diagnosis = diagnose(campaign)
 
-    assert (found.verdict, [finding.name for finding in found.causes]) == ("causes-found", [CAUSE.name])
-    assert found.causes[0].parameters["bow_m"].value == pytest.approx(BOW_M, abs=3e-6)
+    assert (diagnosis.verdict, [finding.name for finding in diagnosis.causes]) == ("causes-found", [CAUSE.name])
+    assert diagnosis.causes[0].parameters["bow_m"].value == pytest.approx(BOW_M, abs=3e-6)

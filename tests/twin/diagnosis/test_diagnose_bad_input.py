@@ -55,7 +55,7 @@ def rewrite(path: Path, change: Callable[[list[str], FloatArray], tuple[list[str
     path.write_bytes(gzip.compress((",".join(names) + "\n" + body + "\n").encode()))
 
 
-def only(folder: Path, *files: str) -> None:
+def keep(folder: Path, *files: str) -> None:
     """Leave these recordings in campaign.toml."""
     head, *entries = (folder / "campaign.toml").read_text().split("[[recording]]\n")
     retained = [entry for entry in entries if any(f'"{file}.csv.gz"' in entry for file in files)]
@@ -73,10 +73,10 @@ def column(folder: Path, name: str, value: float | None) -> None:
     def change(names: list[str], rows: FloatArray) -> tuple[list[str], FloatArray]:
         if name not in names:
             return names, rows
-        place = names.index(name)
+        index = names.index(name)
         if value is None:
-            return names[:place] + names[place + 1 :], np.delete(rows, place, axis=1)
-        rows[:, place] = value
+            return names[:index] + names[index + 1 :], np.delete(rows, index, axis=1)
+        rows[:, index] = value
         return names, rows
 
     for path in sorted(folder.glob("*.csv.gz")):
@@ -97,23 +97,23 @@ def run(folder: Path, *more: str, quick: bool = True) -> int:
 
 def refused(capsys: pytest.CaptureFixture[str], folder: Path, *more: str) -> str:
     """The one line on stderr."""
-    code, told = run(folder, *more), capsys.readouterr()
-    assert code == 2, told.out
-    assert told.out == ""
-    assert told.err.count("\n") == 1, told.err
-    assert told.err.startswith("board51 diagnose: ")
-    return told.err
+    code, captured = run(folder, *more), capsys.readouterr()
+    assert code == 2, captured.out
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1, captured.err
+    assert captured.err.startswith("board51 diagnose: ")
+    return captured.err
 
 
 def answered(capsys: pytest.CaptureFixture[str], folder: Path, *more: str, quick: bool = True) -> dict[str, Any]:
-    code, told = run(folder, "--json", *more, quick=quick), capsys.readouterr()
-    data: dict[str, Any] = json.loads(told.out)
+    code, captured = run(folder, "--json", *more, quick=quick), capsys.readouterr()
+    data: dict[str, Any] = json.loads(captured.out)
     assert code == (1 if data["verdict"] == "unknown-cause" else 0)
     return data
 
 
 def test_a_second_of_flight_is_too_little(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    only(folder, "closed_loop_2")
+    keep(folder, "closed_loop_2")
     rewrite(folder / "closed_loop_2.csv.gz", lambda names, rows: (names, rows[:500]))
 
     line = refused(capsys, folder)
@@ -151,7 +151,7 @@ def test_a_model_of_another_plant_is_refused_by_its_field(
 ) -> None:
     plant = load(folder).plant
     base: Model = Model.load(Path(board51.__file__).parent / "twin" / "model" / "ce152.json")
-    own = replace(
+    same_plant = replace(
         base.plant,
         mass_kg=plant.mass_kg,
         travel_m=plant.travel_m,
@@ -159,7 +159,7 @@ def test_a_model_of_another_plant_is_refused_by_its_field(
         gravity_m_s2=plant.gravity_m_s2,
     )
     change: dict[str, Any] = {field: value}
-    model = replace(base, plant=replace(own, **change))
+    model = replace(base, plant=replace(same_plant, **change))
     (tmp_path / "m.json").write_text(json.dumps(model.to_json()))
 
     line = refused(capsys, folder, "--model", str(tmp_path / "m.json"))
@@ -174,7 +174,7 @@ def test_a_recording_of_another_rig_is_named_and_left_out(
 ) -> None:
     make_campaign(tmp_path / "other", effects={}, seed=77, plant="independent", quick=True)
     shutil.copy(tmp_path / "other" / "closed_loop_3.csv.gz", folder)
-    only(folder, "rest", "step_1", "ramp", *(f"closed_loop_{n}" for n in range(1, 7)))
+    keep(folder, "rest", "step_1", "ramp", *(f"closed_loop_{n}" for n in range(1, 7)))
 
     data = answered(capsys, folder)
 
@@ -195,7 +195,7 @@ def test_an_effect_that_begins_in_the_middle_is_named_with_its_place(
         quick=True,
         begins_with="closed_loop_3",
     )
-    only(tmp_path / "late", "rest", "step_1", "ramp", *(f"closed_loop_{n}" for n in range(1, 9)))
+    keep(tmp_path / "late", "rest", "step_1", "ramp", *(f"closed_loop_{n}" for n in range(1, 9)))
 
     data, hasty = answered(capsys, tmp_path / "late", quick=False), answered(capsys, tmp_path / "late")
 
@@ -211,7 +211,7 @@ def test_an_effect_that_begins_in_the_middle_is_named_with_its_place(
 
 
 def test_without_x_the_amplifier_alone_is_judged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    only(folder, *(f"step_{n}" for n in range(1, 7)))
+    keep(folder, *(f"step_{n}" for n in range(1, 7)))
 
     data = answered(capsys, folder)
 
@@ -236,7 +236,7 @@ def test_a_missing_column_is_named_with_its_file(folder: Path, capsys: pytest.Ca
 
 @pytest.mark.parametrize("name", ["i_c", "u_c"])
 def test_a_column_without_numbers_is_said(folder: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
-    only(folder, "closed_loop_1", "closed_loop_2", "closed_loop_5")
+    keep(folder, "closed_loop_1", "closed_loop_2", "closed_loop_5")
     column(folder, name, float("nan"))
 
     line = refused(capsys, folder)
@@ -253,7 +253,7 @@ def test_an_empty_file_is_named(folder: Path, capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.slow
 def test_useless_recordings_give_no_false_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    only(folder, "rest", "step_1", "step_3", "step_5", "ramp", *(f"closed_loop_{n}" for n in (1, 2, 3, 4, 6, 7)))
+    keep(folder, "rest", "step_1", "step_3", "step_5", "ramp", *(f"closed_loop_{n}" for n in (1, 2, 3, 4, 6, 7)))
     rewrite(folder / "closed_loop_2.csv.gz", lambda names, rows: (names, rows[:2]))
     rewrite(folder / "closed_loop_3.csv.gz", constant_x(math.nan))
 
@@ -301,7 +301,7 @@ def test_samples_at_varying_times_are_taken_as_they_are(folder: Path, capsys: py
         moves = np.append(True, rows[1:, 1] != rows[:-1, 1])
         return names, rows[moves | (rng.random(len(rows)) < 0.6)]
 
-    only(folder, "rest", "step_1", "step_3", "step_5", "ramp", "open_loop", *(f"closed_loop_{n}" for n in (2, 4, 6, 7)))
+    keep(folder, "rest", "step_1", "step_3", "step_5", "ramp", "open_loop", *(f"closed_loop_{n}" for n in (2, 4, 6, 7)))
     rewrite(folder / "open_loop.csv.gz", change)
 
     data = answered(capsys, folder)

@@ -19,7 +19,7 @@ import board51
 from protocol.campaign import load
 from tests.harness.diagnose.agreement import disagreements
 from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
-from tests.twin.diagnosis.test_diagnose_bad_input import only
+from tests.twin.diagnosis.test_diagnose_bad_input import keep
 from twin.diagnosis.judge.account import exceeds_floor
 from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
@@ -48,7 +48,7 @@ def hide(tmp_path_factory: pytest.TempPathFactory) -> Hide:
         kind: dict[str, Mapping[str, float]] = {"effects": {}, "outside": dict(effects)}
         make_campaign(folder, **(kind if outside else {"effects": dict(effects)}), seed=seed, plant=plant, quick=True)
         if half:
-            only(folder, *HALF)
+            keep(folder, *HALF)
         return folder
 
     return record
@@ -56,19 +56,19 @@ def hide(tmp_path_factory: pytest.TempPathFactory) -> Hide:
 
 @cache
 def diagnosed(folder: Path, workers: int = 1) -> Diagnosis:
-    found = diagnose(load(folder), Options(quick=True, workers=workers))
-    assert not disagreements(to_json(found))
-    return found
+    result = diagnose(load(folder), Options(quick=True, workers=workers))
+    assert not disagreements(to_json(result))
+    return result
 
 
-def class_of(found: Diagnosis) -> set[str]:
+def class_of(result: Diagnosis) -> set[str]:
     """The first name and what the data cannot tell from it."""
-    first = found.causes[0]
+    first = result.causes[0]
     return {first.name, *(member.name for member in first.indistinguishable_from)}
 
 
 DRAG = ((("quadratic-drag", 1.0),), 104, "independent", True)
-NOTHING = ((), 31, "independent", True)
+NO_EFFECTS = ((), 31, "independent", True)
 
 
 @pytest.mark.parametrize(
@@ -84,28 +84,28 @@ def test_the_truth_is_named_and_within_its_interval(
     """The two rigs' own integration may shift a strength by a hundredth: that is added to the interval's half width."""
     ((name, strength),) = effects
 
-    found = diagnosed(hide(effects, seed, plant, half))
+    result = diagnosed(hide(effects, seed, plant, half))
 
-    assert name in class_of(found)
-    assert len(class_of(found)) <= 3
-    first = found.causes[0]
+    assert name in class_of(result)
+    assert len(class_of(result)) <= 3
+    first = result.causes[0]
     members = [first.parameters, *(member.parameters for member in first.indistinguishable_from)]
     names = [first.name, *(member.name for member in first.indistinguishable_from)]
-    (value,) = [next(iter(own.values())) for own, whose in zip(members, names, strict=True) if whose == name]
+    (value,) = [next(iter(sizes.values())) for sizes, whose in zip(members, names, strict=True) if whose == name]
     width = 0.5 * (value.ci95[1] - value.ci95[0]) if value.ci95 else 0.0
     assert value.value == pytest.approx(strength, abs=1.5 * width + 0.01 * abs(strength))
-    assert found.gain is not None
-    assert found.gain.removed > 0.9
+    assert result.gain is not None
+    assert result.gain.removed > 0.9
 
 
 @pytest.mark.slow
 def test_where_nothing_is_hidden_the_model_is_adequate(hide: Hide) -> None:
-    found = diagnosed(hide(*NOTHING))
+    result = diagnosed(hide(*NO_EFFECTS))
 
-    assert found.verdict == "model-adequate"
-    assert found.causes == ()
-    assert found.gain is not None
-    assert found.gain.ci95_ratio == (1.0, 1.0)  # nothing was added
+    assert result.verdict == "model-adequate"
+    assert result.causes == ()
+    assert result.gain is not None
+    assert result.gain.ci95_ratio == (1.0, 1.0)  # nothing was added
 
 
 @pytest.mark.slow
@@ -119,23 +119,23 @@ def test_where_nothing_is_hidden_the_model_is_adequate(hide: Hide) -> None:
 def test_what_the_data_cannot_tell_apart_is_one_class(
     hide: Hide, effects: tuple[tuple[str, float], ...], members: set[str]
 ) -> None:
-    found = diagnosed(hide(effects, 41, "emulator"))
+    result = diagnosed(hide(effects, 41, "emulator"))
 
-    assert members <= class_of(found)
+    assert members <= class_of(result)
 
 
 @pytest.mark.slow
 def test_an_effect_outside_the_catalogue_gets_no_false_name(hide: Hide) -> None:
     """Others are in the fixed sample; a wire spring is modelled in `remainder`."""
-    found = diagnosed(hide((("sensor-sticks", 40e-6),), 51, "independent", outside=True))
+    result = diagnosed(hide((("sensor-sticks", 40e-6),), 51, "independent", outside=True))
 
-    assert found.verdict == "unknown-cause"
-    assert found.account.unexplained > 0.0 or exceeds_floor(found.gain)  # of those for fitting, or of the judges
-    assert found.unexplained_where
+    assert result.verdict == "unknown-cause"
+    assert result.account.unexplained > 0.0 or exceeds_floor(result.gain)  # of those for fitting, or of the judges
+    assert result.unexplained_where
 
 
-def comparable(found: Diagnosis) -> dict[str, Any]:
-    data = to_json(found)
+def comparable(result: Diagnosis) -> dict[str, Any]:
+    data = to_json(result)
     return {name: value for name, value in data.items() if name != "stages_s"}
 
 
@@ -143,9 +143,9 @@ def comparable(found: Diagnosis) -> dict[str, Any]:
 def test_the_number_of_workers_changes_nothing_and_neither_does_a_second_run(hide: Hide) -> None:
     folder = hide(*DRAG)
 
-    one, two = comparable(diagnosed(folder)), comparable(diagnosed(folder, workers=2))
+    serial, parallel = comparable(diagnosed(folder)), comparable(diagnosed(folder, workers=2))
 
-    assert json.dumps(one, sort_keys=True) == json.dumps(two, sort_keys=True)
+    assert json.dumps(serial, sort_keys=True) == json.dumps(parallel, sort_keys=True)
 
 
 def test_diagnosis_json_keeps_the_contract(hide: Hide) -> None:
@@ -176,21 +176,21 @@ def test_the_extended_model_runs_in_predict_and_gives_the_stated_error(
 ) -> None:
     """Same samples, same filter: per recording `predict` starts anew, as `gain` does, so the squares add up."""
     folder = hide(*DRAG)
-    found = diagnosed(folder)
+    result = diagnosed(folder)
     path = tmp_path / "extended_model.json"
-    path.write_text(json.dumps(found.extended.to_json(), allow_nan=False))
+    path.write_text(json.dumps(result.extended.to_json(), allow_nan=False))
     assert Model.load(path).causes[0].name == "quadratic-drag"
 
     squares, count = 0.0, 0
     for number in (5, 6, 7, 8):
         recording = folder / f"closed_loop_{number}.csv.gz"
         assert board51.main(["predict", str(path), str(recording), "--campaign", str(folder), "--json"]) == 0
-        told = json.loads(capsys.readouterr().out)
-        squares, count = squares + told["count"] * told["rmse_m"] ** 2, count + told["count"]
+        summary = json.loads(capsys.readouterr().out)
+        squares, count = squares + summary["count"] * summary["rmse_m"] ** 2, count + summary["count"]
 
-    assert found.gain is not None
-    assert count == pytest.approx(found.gain.count, rel=0.05)
-    assert np.sqrt(squares / count) == pytest.approx(found.gain.extended_rmse_m, rel=0.02)
+    assert result.gain is not None
+    assert count == pytest.approx(result.gain.count, rel=0.05)
+    assert np.sqrt(squares / count) == pytest.approx(result.gain.extended_rmse_m, rel=0.02)
 
 
 def supplied(model: Model, **change: float) -> Model:
@@ -205,15 +205,15 @@ def supplied(model: Model, **change: float) -> Model:
 
 @pytest.mark.slow
 def test_a_reference_model_is_the_baseline_as_it_is(hide: Hide) -> None:
-    folder = hide(*NOTHING)
+    folder = hide(*NO_EFFECTS)
     right = diagnosed(folder)
 
-    found = diagnose(load(folder), Options(model=supplied(right.baseline, K_c=1.1), quick=True, workers=1))
+    result = diagnose(load(folder), Options(model=supplied(right.baseline, K_c=1.1), quick=True, workers=1))
 
-    assert found.verdict == "model-adequate"  # its form
-    assert found.gain is not None
+    assert result.verdict == "model-adequate"  # its form
+    assert result.gain is not None
     assert right.gain is not None
-    assert found.gain.baseline_rmse_m > 2.0 * right.gain.baseline_rmse_m
-    assert found.gain.extended_rmse_m == pytest.approx(right.gain.extended_rmse_m, rel=1e-9)
-    assert "K_c -9" in found.sentence
-    assert "parameters of the reference model are wrong" in found.sentence
+    assert result.gain.baseline_rmse_m > 2.0 * right.gain.baseline_rmse_m
+    assert result.gain.extended_rmse_m == pytest.approx(right.gain.extended_rmse_m, rel=1e-9)
+    assert "K_c -9" in result.sentence
+    assert "parameters of the reference model are wrong" in result.sentence

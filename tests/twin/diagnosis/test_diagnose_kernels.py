@@ -83,8 +83,8 @@ def test_a_cause_without_strength_is_absent_bit_by_bit(cause: Cause) -> None:
 
     for _ in range(20):
         y, u = start(rng), rng.uniform(0.0, 4.5)
-        one, other = after_a_tick(neutral(), y, u), after_a_tick(shaped, y, u)
-        assert one[:5].tolist() == other[:5].tolist()  # warmth has a time constant even where it does nothing
+        plain, other = after_a_tick(neutral(), y, u), after_a_tick(shaped, y, u)
+        assert plain[:5].tolist() == other[:5].tolist()  # warmth has a time constant even where it does nothing
 
 
 @pytest.mark.parametrize(
@@ -114,9 +114,9 @@ def test_a_cause_with_strength_changes_the_tick_or_the_reading(cause: Cause) -> 
     changed = False
     for _ in range(40):
         y, u = start(rng), rng.uniform(0.0, 4.5)
-        one, other = after_a_tick(neutral(), y, u), after_a_tick(c, y, u)
-        changed |= not np.array_equal(one[:5], other[:5])
-        changed |= reading_of_current(c, other) != reading_of_current(neutral(), one)
+        plain, other = after_a_tick(neutral(), y, u), after_a_tick(c, y, u)
+        changed |= not np.array_equal(plain[:5], other[:5])
+        changed |= reading_of_current(c, other) != reading_of_current(neutral(), plain)
         changed |= position_reading(BASE_NUMBERS, c, y[1], y[0]) != position_reading(
             BASE_NUMBERS, neutral(), y[1], y[0]
         )
@@ -155,14 +155,14 @@ def test_for_a_small_effect_the_score_test_says_what_a_fit_gains(name: str) -> N
     record = heavy.closed_loop(wandering(3, 4000, span=1.2e-3), 4000, seed=8)
     if name == "position-sensor-offset":
         record = replace(record, x=record.x + 15e-6)
-    here = Criterion(gather([record], plant), plant, TICK_S, workers=1)
+    record_criterion = Criterion(gather([record], plant), plant, TICK_S, workers=1)
     coordinate = coordinates_of(name)[0]
     try:
-        at = climb(here, TRUE, BASE)
-        (score,) = screen(here, at.theta, at.free, (BY_NAME[name],))
-        fit = climb(here, start_of(here, at.theta, score), (*at.free, coordinate))
+        at = climb(record_criterion, TRUE, BASE)
+        (score,) = screen(record_criterion, at.theta, at.free, (BY_NAME[name],))
+        fit = climb(record_criterion, start_of(record_criterion, at.theta, score), (*at.free, coordinate))
     finally:
-        here.close()
+        record_criterion.close()
 
     gain = fit.loglik - at.loglik
     assert 8.0 < gain < 200.0

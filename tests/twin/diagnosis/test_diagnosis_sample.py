@@ -35,18 +35,18 @@ pytestmark = [
 def strong_or_medium() -> list[int]:
     """A seed of every third cause, strong and medium in turn; more would not end in half an hour with the rest."""
     seeds = []
-    for place in range(0, CAUSES, EVERY):
-        turns = (place + CAUSES * turn for turn in range(len(GRADES)))
+    for index in range(0, CAUSES, EVERY):
+        turns = (index + CAUSES * turn for turn in range(len(GRADES)))
         bold = [seed for seed in turns if draw_hidden(seed, "causes").grade != "weak"]
-        seeds.append(bold[place // EVERY % len(bold)])
+        seeds.append(bold[index // EVERY % len(bold)])
     return seeds
 
 
 def sample() -> list[tuple[Part, int]]:
     """The campaigns in their order: the first six, which may decide, hold each part."""
     causes: list[tuple[Part, int]] = [("causes", seed) for seed in strong_or_medium()]
-    others: tuple[Part, ...] = ("gateway", "nulls", "outside")
-    return [*((part, 0) for part in others), *causes[:3], *((part, 1) for part in others), *causes[3:]]
+    other_parts: tuple[Part, ...] = ("gateway", "nulls", "outside")
+    return [*((part, 0) for part in other_parts), *causes[:3], *((part, 1) for part in other_parts), *causes[3:]]
 
 
 def passes(verdicts: list[bool]) -> bool | None:
@@ -61,9 +61,9 @@ def passes(verdicts: list[bool]) -> bool | None:
     return None
 
 
-def least_right(judged: int) -> int:
+def min_right(count: int) -> int:
     """Fewer than these are right with a probability below ERROR, at the rate required."""
-    return int(binom.ppf(ERROR, judged, RATE))
+    return int(binom.ppf(ERROR, count, RATE))
 
 
 def played(keys: list[tuple[Part, int]]) -> list[Outcome]:
@@ -71,8 +71,8 @@ def played(keys: list[tuple[Part, int]]) -> list[Outcome]:
     short, whole = ([key for key in keys if (key[0] != "gateway") is quick] for quick in (True, False))
     program = program_digest()
     outcomes = [*play(whole, program=program), *play(short, program=program, quick=True)]
-    by_key = {(outcome.part, outcome.seed): outcome for outcome in outcomes}
-    return [by_key[key] for key in keys]
+    outcome_of = {(outcome.part, outcome.seed): outcome for outcome in outcomes}
+    return [outcome_of[key] for key in keys]
 
 
 def right(outcome: Outcome) -> bool | None:
@@ -92,7 +92,7 @@ def test_as_many_are_right_as_the_required_rate_allows() -> None:
     assert len(verdicts) >= len(outcomes) - UNTESTABLE
     decided = passes(verdicts)
     # Undecided at the end: some answers could not be judged.
-    enough = sum(verdicts) >= least_right(len(verdicts)) if decided is None else decided
+    enough = sum(verdicts) >= min_right(len(verdicts)) if decided is None else decided
     assert enough, [outcome for outcome in outcomes if right(outcome) is False]
 
 
@@ -105,14 +105,14 @@ def test_the_sample_has_a_third_of_the_causes_and_the_bounds_are_the_stated_ones
     assert len(sample()) == PASSES_AT[-1]
 
     @cache
-    def chance(rate: float, judged: int = 0, wrong: int = 0) -> float:
+    def chance(rate: float, count: int = 0, wrong: int = 0) -> float:
         """The probability to pass, after so many answers."""
-        verdict = passes([False] * wrong + [True] * (judged - wrong))
+        verdict = passes([False] * wrong + [True] * (count - wrong))
         if verdict is not None:
             return float(verdict)
-        return rate * chance(rate, judged + 1, wrong) + (1.0 - rate) * chance(rate, judged + 1, wrong + 1)
+        return rate * chance(rate, count + 1, wrong) + (1.0 - rate) * chance(rate, count + 1, wrong + 1)
 
     assert 1.0 - chance(RATE) < 0.0055
     assert chance(0.5) < 0.034
-    assert least_right(15) == 12
+    assert min_right(15) == 12
     assert binom.cdf(11, 15, RATE) < ERROR

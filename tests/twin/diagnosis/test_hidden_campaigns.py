@@ -80,14 +80,14 @@ def test_the_seed_gives_the_bytes(drag: Path, tmp_path: Path, plant: PlantName) 
 def test_without_an_effect_the_truth_comes_back(none: Path, plant: PlantName) -> None:
     rig = draw_rig(SEED, plant)
 
-    found = identify(load(none)).model.parameters
+    parameters = identify(load(none)).model.parameters
 
     for name, true in (("K_c", rig.force_constant_n_m2_a2), ("T_A", rig.amplifier_time_constant_s)):
-        estimate = found[name]
+        estimate = parameters[name]
         assert estimate.std is not None
         assert abs(estimate.value - true) < 5.0 * estimate.std, name
     # the converter cuts the noise of i_c in half at 0 A, which lifts K_A by more than its own error
-    assert found["K_A"].value == pytest.approx(rig.amplifier_gain_a_v, rel=5e-4)
+    assert parameters["K_A"].value == pytest.approx(rig.amplifier_gain_a_v, rel=5e-4)
 
 
 def test_one_board_clock_runs_through_the_campaign(none: Path) -> None:
@@ -116,8 +116,8 @@ def test_an_effect_may_begin_with_a_recording(none: Path, tmp_path: Path, plant:
     strong = {"current-sensor-offset": 0.08}
     make_campaign(tmp_path, effects=strong, seed=SEED, plant=plant, quick=True, begins_with="closed_loop_3")
 
-    usual, late = (read_campaign(load(folder)) for folder in (none, tmp_path))
-    means = {b.name: float(np.mean(b.i_c) - np.mean(a.i_c)) for a, b in zip(usual, late, strict=True)}
+    usual, changed = (read_campaign(load(folder)) for folder in (none, tmp_path))
+    means = {b.name: float(np.mean(b.i_c) - np.mean(a.i_c)) for a, b in zip(usual, changed, strict=True)}
     assert means.pop("closed_loop_3.csv.gz") == pytest.approx(0.08, abs=5e-3)
     assert means.pop("closed_loop_4.csv.gz") == pytest.approx(0.08, abs=5e-3)
     assert set(means.values()) == {0.0}
@@ -178,8 +178,8 @@ def test_composites_can_be_recorded(tmp_path: Path) -> None:
     assert load(tmp_path / "both").recordings
 
 
-@pytest.mark.parametrize(("limit_a", "shown"), [(0.9, True), (1.5, False)])
-def test_a_limit_is_in_the_data_where_it_was_reached(tmp_path: Path, limit_a: float, shown: bool) -> None:
+@pytest.mark.parametrize(("limit_a", "visible"), [(0.9, True), (1.5, False)])
+def test_a_limit_is_in_the_data_where_it_was_reached(tmp_path: Path, limit_a: float, visible: bool) -> None:
     hidden = Hidden(part="causes", seed=3, plant="emulator", effects={"current-limit": limit_a})
 
-    assert in_the_data(hidden, tmp_path) is shown
+    assert in_the_data(hidden, tmp_path) is visible

@@ -41,7 +41,7 @@ WIDER = {
     "position-sensor-nonlinearity": {LOOP_X: 15e-6},  # 5 % of the bow
 }
 # Whose own numbers differ between the rigs, or whose trace is not in the three records below.
-OWN = {"periodic-disturbance", "amplifier-gain-drift", "lost-samples"}
+PLANT_SPECIFIC = {"periodic-disturbance", "amplifier-gain-drift", "lost-samples"}
 
 
 def bench(plant: PlantName, effects: dict[str, float], **more: dict[str, float]) -> Bench:
@@ -68,8 +68,8 @@ def records(plant: PlantName, effects: dict[str, float]) -> dict[str, FloatArray
     return {STEP: low, HIGH: high, LOOP_X: x, LOOP_I: np.convolve(i_c, np.full(SMOOTH, 1.0 / SMOOTH), "valid")}
 
 
-def distance(one: FloatArray, other: FloatArray) -> float:
-    return float(np.sqrt(np.mean((one - other) ** 2)))
+def distance(first: FloatArray, other: FloatArray) -> float:
+    return float(np.sqrt(np.mean((first - other) ** 2)))
 
 
 @pytest.fixture(scope="module")
@@ -81,15 +81,15 @@ def test_the_second_plant_knows_every_effect_of_the_table() -> None:
     assert set(EFFECTS) == NAMES
 
 
-@pytest.mark.parametrize("name", [None, *sorted(set(EFFECTS) - OWN)])
+@pytest.mark.parametrize("name", [None, *sorted(set(EFFECTS) - PLANT_SPECIFIC)])
 def test_both_plants_do_the_same(name: str | None, without: dict[str, FloatArray]) -> None:
     effects = {name: EFFECTS[name].strong} if name else {}
 
-    one, other = records("emulator", effects), records("independent", effects)
+    emulated, other = records("emulator", effects), records("independent", effects)
 
     tolerance = TOLERANCE | WIDER.get(name or "", {})
     for record in TOLERANCE:
-        assert distance(one[record], other[record]) < tolerance[record], record
+        assert distance(emulated[record], other[record]) < tolerance[record], record
     if name:
         assert any(distance(other[r], without[r]) > 1.5 * tolerance[r] for r in TOLERANCE), "no trace"
 
@@ -107,9 +107,9 @@ def test_every_form_is_really_there(name: str, without: dict[str, FloatArray]) -
     form = FORMS[name]
     assert form.effect in BY_NAME
 
-    found = records("textbook", {name: form.strong})
+    with_form = records("textbook", {name: form.strong})
 
-    assert any(distance(found[r], without[r]) > 1.5 * TOLERANCE[r] for r in TOLERANCE), "no trace"
+    assert any(distance(with_form[r], without[r]) > 1.5 * TOLERANCE[r] for r in TOLERANCE), "no trace"
 
 
 def test_a_coil_that_heats_loses_gain_on_both() -> None:
@@ -156,7 +156,7 @@ def closed_loops(outside: dict[str, float]) -> FloatArray:
     """The flights of a campaign on that rig, without noise."""
     quiet = replace(DRAWN, position_noise_m=1e-12, current_noise_a=1e-12)
     board = SecondBench(quiet, {}, seed=1, believed=DRAWN, outside=outside)
-    return np.concatenate([one.rows for one in play(board, seed=1, quick=True) if one.kind == "closed-loop"])
+    return np.concatenate([record.rows for record in play(board, seed=1, quick=True) if record.kind == "closed-loop"])
 
 
 @pytest.fixture(scope="module")
@@ -168,10 +168,10 @@ def plain() -> FloatArray:
 def test_an_effect_outside_the_catalogue_shows_and_the_ball_flies(name: str, plain: FloatArray) -> None:
     strongest = SecondBench(DRAWN, {}, seed=1, believed=DRAWN, outside={name: 1.4 * OUTSIDE[name].strength})
     flown = play(strongest, seed=1, quick=True)
-    shown = closed_loops({name: OUTSIDE[name].strength})
+    disturbed = closed_loops({name: OUTSIDE[name].strength})
 
     assert contact_share(flown, DRAWN) < 0.01
     # i_c or x differ by more than the largest noise that a rig is drawn with (4 mA, 12 um), or the law has to give
     # another u_c, which has no noise
-    seen = [distance(shown[:, column], plain[:, column]) for column in (1, 2, 3)]
-    assert seen[0] > 50e-3 or seen[1] > 4e-3 or seen[2] > 12e-6
+    differences = [distance(disturbed[:, column], plain[:, column]) for column in (1, 2, 3)]
+    assert differences[0] > 50e-3 or differences[1] > 4e-3 or differences[2] > 12e-6

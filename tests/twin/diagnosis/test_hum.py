@@ -24,21 +24,21 @@ def test_mains_in_x_are_named_and_predicted(tmp_path: Path, octave_m: float) -> 
         outside={"sensor-hum": HUM_M, "sensor-hum-octave": octave_m},
     )
 
-    found = diagnose(load(tmp_path / "campaign.toml"))
+    diagnosis = diagnose(load(tmp_path / "campaign.toml"))
 
-    assert found.verdict == "causes-found"
-    assert [cause.name for cause in found.causes] == [LINE]
-    line, answer = found.lines
+    assert diagnosis.verdict == "causes-found"
+    assert [cause.name for cause in diagnosis.causes] == [LINE]
+    line, answer = diagnosis.lines
     assert (line.channel, line.cause) == ("x", LINE)
     assert (answer.channel, answer.cause, answer.amplitude.unit) == ("u_c", LINE, "V")
     assert line.frequency_hz.value == pytest.approx(HUM_HZ, abs=3e-3)
     assert line.amplitude.value == pytest.approx(HUM_M, rel=0.03)
     assert line.amplitude.ci95 is not None
     assert line.amplitude.ci95[1] - line.amplitude.ci95[0] < 0.1 * HUM_M
-    assert found.causes[0].parameters["harmonic_2"].value == pytest.approx(octave_m / HUM_M, abs=0.05)
-    assert "in its sensor, not in the force" in found.sentence
-    assert found.gain is not None
-    assert found.gain.removed > 0.9
+    assert diagnosis.causes[0].parameters["harmonic_2"].value == pytest.approx(octave_m / HUM_M, abs=0.05)
+    assert "in its sensor, not in the force" in diagnosis.sentence
+    assert diagnosis.gain is not None
+    assert diagnosis.gain.removed > 0.9
 
 
 @pytest.mark.sample
@@ -47,9 +47,9 @@ def test_a_cause_beside_mains_is_named_with_its_size(tmp_path: Path) -> None:
     effects, mains = {"position-sensor-lag": lag_s}, {"sensor-hum": HUM_M}
     make_campaign(tmp_path, effects=effects, seed=5, plant="independent", outside=mains, quick=True)
 
-    found = diagnose(load(tmp_path / "campaign.toml"))
+    diagnosis = diagnose(load(tmp_path / "campaign.toml"))
 
-    assert found.verdict == "causes-found"
-    by_name = {cause.name: cause.parameters for cause in found.causes}
-    assert set(by_name) == {LINE, "position-sensor-lag"}
-    assert by_name["position-sensor-lag"]["tau_s"].value == pytest.approx(lag_s, rel=0.05)
+    assert diagnosis.verdict == "causes-found"
+    parameters = {cause.name: cause.parameters for cause in diagnosis.causes}
+    assert set(parameters) == {LINE, "position-sensor-lag"}
+    assert parameters["position-sensor-lag"]["tau_s"].value == pytest.approx(lag_s, rel=0.05)

@@ -15,12 +15,12 @@ from twin.diagnosis.result import Diagnosis
 
 
 def _diagnosed(folder: Path) -> Diagnosis:
-    found = diagnose(load(folder / "campaign.toml"), Options(quick=True))
-    assert found.verdict == "causes-found"
-    assert found.gain is not None
-    assert found.gain.removed > 0.95
-    assert found.gain.ci95_floor[0] < 1.05
-    return found
+    diagnosis = diagnose(load(folder / "campaign.toml"), Options(quick=True))
+    assert diagnosis.verdict == "causes-found"
+    assert diagnosis.gain is not None
+    assert diagnosis.gain.removed > 0.95
+    assert diagnosis.gain.ci95_floor[0] < 1.05
+    return diagnosis
 
 
 @pytest.mark.sample

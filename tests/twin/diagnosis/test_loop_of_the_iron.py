@@ -20,10 +20,10 @@ def test_it_is_named_and_predicted_and_has_its_width(kind: str, seed: int, tmp_p
     half_width_a = 0.03
     make_campaign(tmp_path, effects={}, seed=seed, plant="independent", outside={kind: half_width_a})
 
-    found = diagnose(load(tmp_path / "campaign.toml"), Options(quick=True))
+    diagnosis = diagnose(load(tmp_path / "campaign.toml"), Options(quick=True))
 
-    assert found.verdict == "causes-found"
-    assert [cause.name for cause in found.causes] == ["magnetic-hysteresis"]
-    assert found.causes[0].parameters["i_h_a"].value == pytest.approx(half_width_a, rel=0.1)
-    assert found.gain is not None
-    assert found.gain.removed > 0.98
+    assert diagnosis.verdict == "causes-found"
+    assert [cause.name for cause in diagnosis.causes] == ["magnetic-hysteresis"]
+    assert diagnosis.causes[0].parameters["i_h_a"].value == pytest.approx(half_width_a, rel=0.1)
+    assert diagnosis.gain is not None
+    assert diagnosis.gain.removed > 0.98

@@ -35,12 +35,12 @@ def test_a_coil_and_a_stop_in_the_wrong_place_are_no_adequate_model(criterion: C
     fit = wrong
     floor = floor_of(criterion, fit.theta)
 
-    fine, why = adequate(criterion, fit, floor)
+    is_adequate, why = adequate(criterion, fit, floor)
 
     assert fit.theta.stop_low_m == pytest.approx(OFFSET_M, abs=2.0 * settings.STOP_STD_M)
     assert not floor.above_noise(fit.loglik)  # nothing but the stop speaks against it
     assert floor.material(fit.loglik)
-    assert not fine
+    assert not is_adequate
     assert "needs a stop 0.3" in why
     assert where_left(criterion, fit, floor).startswith("at rest: the model needs a stop 0.3")
 

@@ -31,8 +31,8 @@ def test_no_sample_next_to_the_pole_is_flight() -> None:
     flies, record = flown(TRAVEL_M)
     _, clear = flown(TRAVEL_M), flown(TRAVEL_M + 2.44e-3)[0]
 
-    near = TRAVEL_M - record.x < settings.POLE_SHARE * TRAVEL_M
-    assert near.sum() > 50
-    assert not flies[near].any()
-    assert clear[near].any(), "with the coil higher up the same flight is far from the pole"
-    assert (flies == clear)[~near].all()
+    is_close = TRAVEL_M - record.x < settings.POLE_SHARE * TRAVEL_M
+    assert is_close.sum() > 50
+    assert not flies[is_close].any()
+    assert clear[is_close].any(), "with the coil higher up the same flight is far from the pole"
+    assert (flies == clear)[~is_close].all()

@@ -18,17 +18,17 @@ CONFOUNDER = "position-sensor-gain"
 
 
 def test_every_experiment_comes_with_its_separation_from_every_confounder() -> None:
-    found = diagnosis("air-gap-offset", 5e-4)
-    (cause,) = found.causes
+    result = diagnosis("air-gap-offset", 5e-4)
+    (cause,) = result.causes
     proposal = Proposal(
         what="hold it",
         separation_z=14.0,
         now_z={CONFOUNDER: 1.25},
         experiments=(("holds", {CONFOUNDER: 14.0}), ("rest", {CONFOUNDER: math.nan})),
     )
-    found = replace(found, causes=(replace(cause, next_experiment=proposal),))
+    result = replace(result, causes=(replace(cause, next_experiment=proposal),))
 
-    data = json.loads(json.dumps(to_json(found), allow_nan=False))
+    data = json.loads(json.dumps(to_json(result), allow_nan=False))
 
     (suspect,) = read_diagnosis(data, where="diagnosis.json").suspects
     assert suspect.name == cause.name

@@ -55,9 +55,9 @@ def fly(effects: dict[str, float], *, ticks: int = 2000) -> Record:
 @cache
 def floor_m() -> float:
     """The error ahead of the right model of a rig without effects."""
-    found = predict(true_model(), fly({}), AHEAD).rmse_m
-    assert found is not None
-    return found
+    error_m = predict(true_model(), fly({}), AHEAD).rmse_m
+    assert error_m is not None
+    return error_m
 
 
 @pytest.fixture(scope="module")
@@ -125,11 +125,11 @@ def test_without_causes_it_agrees_with_the_filter_of_the_identification() -> Non
     )
     other = error_at(AHEAD * TICK_S, [record], model.plant, theta, TICK_S)
 
-    found = predict(model, record, AHEAD)
+    prediction = predict(model, record, AHEAD)
 
     assert other is not None
-    assert found.rmse_m == pytest.approx(other.rmse_m, rel=0.01)
-    assert abs(len(found.x) - other.count) <= 2
+    assert prediction.rmse_m == pytest.approx(other.rmse_m, rel=0.01)
+    assert abs(len(prediction.x) - other.count) <= 2
 
 
 def test_a_prediction_knows_nothing_of_what_comes_later(gap_flight: Record) -> None:
@@ -142,8 +142,8 @@ def test_a_prediction_knows_nothing_of_what_comes_later(gap_flight: Record) -> N
     kicked = replace(gap_flight, u_c=gap_flight.u_c + 0.05 * (np.arange(len(later)) == k - 1))
 
     def x_hat(record: Record) -> float:
-        found = predict(model, record, AHEAD)
-        return float(found.x_hat[found.t == record.t[k]][0])
+        prediction = predict(model, record, AHEAD)
+        return float(prediction.x_hat[prediction.t == record.t[k]][0])
 
     assert x_hat(other) == x_hat(gap_flight)
     assert x_hat(kicked) > x_hat(gap_flight)
@@ -155,14 +155,14 @@ def test_no_prediction_throws_the_ball_through_a_stop(gap_flight: Record) -> Non
     wrong = replace(model, plant=replace(model.plant, x_max_m=model.plant.travel_m * 1.02))
 
     right = true_model(effects={"air-gap-offset": 8e-4})
-    thrown, near = predict(wrong, gap_flight, 20).x_hat, predict(right, gap_flight, AHEAD).x_hat
+    thrown, bounded = predict(wrong, gap_flight, 20).x_hat, predict(right, gap_flight, AHEAD).x_hat
 
     travel_m = model.plant.travel_m
     assert thrown.min() >= -0.25 * travel_m
     assert thrown.max() <= 1.25 * travel_m
     assert np.isclose(thrown, 1.25 * travel_m).any()
-    assert near.min() > 0.0
-    assert near.max() < travel_m
+    assert bounded.min() > 0.0
+    assert bounded.max() < travel_m
 
 
 def test_the_phase_of_a_periodic_force_is_taken_from_the_past_alone() -> None:
@@ -187,17 +187,17 @@ def test_the_printed_error_is_that_of_the_rows(
 
     assert run(model, recording, "--horizon", "7", "--out", tmp_path / "p.csv", "--json") == 0
 
-    told = json.loads(capsys.readouterr().out)
+    summary = json.loads(capsys.readouterr().out)
     lines = (tmp_path / "p.csv").read_text().splitlines()
     rows = [[float(cell) for cell in line.split(",")] for line in lines[1:]]
     assert lines[0] == "t,x,x_hat"
-    assert told["count"] == len(rows)
-    assert told["horizon_samples"] == 7
-    assert told["rmse_m"] == pytest.approx(math.sqrt(sum((x - p) ** 2 for _, x, p in rows) / len(rows)), rel=1e-6)
-    assert told["count"] + sum(told["left_out"].values()) == told["samples"]
+    assert summary["count"] == len(rows)
+    assert summary["horizon_samples"] == 7
+    assert summary["rmse_m"] == pytest.approx(math.sqrt(sum((x - p) ** 2 for _, x, p in rows) / len(rows)), rel=1e-6)
+    assert summary["count"] + sum(summary["left_out"].values()) == summary["samples"]
     measured = dict(zip(np.round(gap_flight.t, 6), gap_flight.x, strict=True))
     assert all(abs(measured[round(t, 6)] - x) < 1e-12 for t, x, _ in rows)
-    assert told["rmse_m"] < 1.2e-5
+    assert summary["rmse_m"] < 1.2e-5
 
 
 def test_a_recording_of_a_campaign_comes_with_its_columns(
@@ -215,10 +215,10 @@ def test_a_recording_of_a_campaign_comes_with_its_columns(
 
     for recording in (tmp_path / "f.csv", Path("f.csv")):
         assert run(model, recording, "--campaign", tmp_path, "--json") == 0
-        told = json.loads(capsys.readouterr().out)
+        summary = json.loads(capsys.readouterr().out)
 
-        assert told["rmse_m"] < 1.2e-5
-        assert told["samples"] == len(gap_flight.t) - 500
+        assert summary["rmse_m"] < 1.2e-5
+        assert summary["samples"] == len(gap_flight.t) - 500
     assert run(model, "other.csv", "--campaign", tmp_path) == 2
     assert "Name one of: f.csv" in single_line(capsys)
     assert run(model, tmp_path / "f.csv") == 2
@@ -232,16 +232,16 @@ def test_lost_samples_and_contacts_are_left_out_and_counted(tmp_path: Path, gap_
     keep[1200:1204] = False  # a row more than is bridged
     record = replace(gap_flight, **{name: getattr(gap_flight, name)[keep] for name in NAMES if name != "x"}, x=x[keep])
 
-    found = predict(true_model(effects={"air-gap-offset": 8e-4}), record, AHEAD)
+    prediction = predict(true_model(effects={"air-gap-offset": 8e-4}), record, AHEAD)
 
-    assert len(found.x) + sum(count for _, count in found.left_out) == len(record.t)
-    assert found.rmse_m is not None
-    assert found.rmse_m < 1.2e-5
-    predicted = np.isin(record.t, found.t)
-    settled = AHEAD + round(0.1 / TICK_S)
-    assert not predicted[599 : 700 + settled].any()
-    assert not predicted[1200 : 1200 + settled - 1].any()
-    assert predicted[1200 + settled + 1 :].all()
+    assert len(prediction.x) + sum(count for _, count in prediction.left_out) == len(record.t)
+    assert prediction.rmse_m is not None
+    assert prediction.rmse_m < 1.2e-5
+    predicted = np.isin(record.t, prediction.t)
+    settling_ticks = AHEAD + round(0.1 / TICK_S)
+    assert not predicted[599 : 700 + settling_ticks].any()
+    assert not predicted[1200 : 1200 + settling_ticks - 1].any()
+    assert predicted[1200 + settling_ticks + 1 :].all()
 
 
 def single_line(capsys: pytest.CaptureFixture[str]) -> str:
@@ -255,7 +255,7 @@ def test_bad_input_is_one_line(tmp_path: Path, gap_flight: Record, capsys: pytes
     recording, model = files(tmp_path, gap_flight)[0], model_file(tmp_path)
     short = tmp_path / "short.csv"
     short.write_text("\n".join(recording.read_text().splitlines()[:8]))
-    still = replace(gap_flight, x=np.zeros(len(gap_flight.t)))
+    motionless = replace(gap_flight, x=np.zeros(len(gap_flight.t)))
     (tmp_path / "still").mkdir()
 
     for arguments, says in (
@@ -267,4 +267,4 @@ def test_bad_input_is_one_line(tmp_path: Path, gap_flight: Record, capsys: pytes
     ):
         assert run(*arguments) == 2
         assert says in single_line(capsys)
-    assert run(model, files(tmp_path / "still", still)[0]) == 1
+    assert run(model, files(tmp_path / "still", motionless)[0]) == 1

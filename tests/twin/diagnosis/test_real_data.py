@@ -79,17 +79,17 @@ def test_four_equilibria_of_a_ce152(tmp_path: Path, capsys: pytest.CaptureFixtur
         ["diagnose", str(CAMPAIGNS / "ce152-equilibria.toml"), "--data", str(DATA), "--out", str(tmp_path), "--quiet"]
     )
 
-    found: dict[str, Any] = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    diagnosis: dict[str, Any] = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
     assert code == 0
-    assert "air-gap-offset" in {found["causes"][0]["name"], *found["causes"][0]["indistinguishable_from"]}
-    low, high = found["causes"][0]["parameters"]["d_m"]["ci95"]
+    assert "air-gap-offset" in {diagnosis["causes"][0]["name"], *diagnosis["causes"][0]["indistinguishable_from"]}
+    low, high = diagnosis["causes"][0]["parameters"]["d_m"]["ci95"]
     assert low < 2.4e-3 < high
     # (3) has the current go to 0 at x_max; the rig took 0.43 A a millimetre below it.
-    assert max(abs(share) for share in found["static"]["baseline_error_share"]) > 0.4
-    gain = found["gain"]["leave_one_out"]
+    assert max(abs(share) for share in diagnosis["static"]["baseline_error_share"]) > 0.4
+    gain = diagnosis["gain"]["leave_one_out"]
     assert gain["extended_rmse_a"] < 0.2 * gain["baseline_rmse_a"]
     # The currents were computed from u_c: nothing here may clear the amplifier.
-    assert "amplifier-offset" in found["causes"][0]["indistinguishable_from"]
+    assert "amplifier-offset" in diagnosis["causes"][0]["indistinguishable_from"]
     assert "air-gap-offset" in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "x_max" in capsys.readouterr().out
 
@@ -129,10 +129,10 @@ def test_the_input_acts_late_by_the_same_time_at_both_rates(name: str) -> None:
     """1 kHz flights and 200 Hz steps: a time of the rig, not a sample of its logger."""
     sizes = (0.0, 1e-3, 1.45e-3, 2e-3)
 
-    found = values(inteco(name), "actuation-delay.delay_s", sizes)
+    likelihoods = values(inteco(name), "actuation-delay.delay_s", sizes)
 
-    assert sizes[int(np.argmax(found))] == 1.45e-3
-    assert max(found) > found[0] + 50.0
+    assert sizes[int(np.argmax(likelihoods))] == 1.45e-3
+    assert max(likelihoods) > likelihoods[0] + 50.0
 
 
 @needs_inteco
@@ -161,12 +161,12 @@ def test_the_coil_sits_higher_than_its_face() -> None:
     delayed = INTECO.having("actuation-delay.delay_s", 1.45e-3)
 
     def best(d_m: float) -> float:
-        found = []
+        likelihoods = []
         for K_c in np.linspace(0.94, 1.06, 7) * INTECO.K_c * ((0.010 + d_m) / 0.010) ** 2:
             for process in (1.2, 1.9):
                 theta = delayed.having("K_c", float(K_c)).having("process_a_m_s2", process)
-                found += values(evidence, "air-gap-offset.d_m", (d_m,), theta)
-        return max(found)
+                likelihoods += values(evidence, "air-gap-offset.d_m", (d_m,), theta)
+        return max(likelihoods)
 
     assert best(1.8e-3) > best(0.0) + 50.0
 
@@ -178,15 +178,15 @@ def test_the_whole_rig_is_explained_in_part_and_said_so(tmp_path: Path) -> None:
         ["diagnose", str(CAMPAIGNS / "inteco-diagnosis.toml"), "--data", str(DATA), "--out", str(tmp_path), "--quick"]
     )
 
-    found: dict[str, Any] = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    diagnosis: dict[str, Any] = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
     assert code == 0
-    assert found["verdict"] == "partly-explained"
-    (first,) = found["causes"]
+    assert diagnosis["verdict"] == "partly-explained"
+    (first,) = diagnosis["causes"]
     assert {first["name"], *first["indistinguishable_from"]} >= {"actuation-delay", "sampling-delay"}
     assert first["parameters"]["delay_s"]["value"] == pytest.approx(1.45e-3, abs=5e-5)
-    assert "current-sensor-offset" in {candidate["name"] for candidate in found["candidates"]}
-    assert found["unexplained"]["share_of_excess"] > 0.1
-    judge = found["gain"]["judge"]
+    assert "current-sensor-offset" in {candidate["name"] for candidate in diagnosis["candidates"]}
+    assert diagnosis["unexplained"]["share_of_excess"] > 0.1
+    judge = diagnosis["gain"]["judge"]
     assert judge["extended_rmse_m"] < 0.4 * judge["baseline_rmse_m"]
     assert judge["excess_removed"] > 0.85
     assert judge["ci95_over_floor"][0] > 1.3
@@ -209,7 +209,7 @@ def test_with_the_iron_saturated_the_rig_s_own_laws_predict_to_40_micrometres() 
     }  # fmt: skip
     start = replace(INTECO, K_A=0.2423, T_A=0.02726, b=0.1, causes=tuple(sizes.items()))
     names = dict.fromkeys(name.partition(".")[0] for name in sizes)
-    curve = next(one for one in CURVES if one.name == "pull-over-current")
+    curve = next(entry for entry in CURVES if entry.name == "pull-over-current")
     criterion = Criterion(evidence, campaign.plant, tick_s)
     try:
         free = (*BASE, *STOPS, *(name for cause in names for name in coordinates_of(cause)))

@@ -27,26 +27,26 @@ BALL = Ball()
 def flights(*balls: Ball, ticks: int = 3000) -> list[Record]:
     records = []
     for n, ball in enumerate(balls):
-        one = ball.closed_loop(wandering(n, ticks, span=1.2e-3), ticks, seed=n, name=f"flight_{n}")
-        records.append(replace(one, t=one.t + 10.0 * n))
+        flight = ball.closed_loop(wandering(n, ticks, span=1.2e-3), ticks, seed=n, name=f"flight_{n}")
+        records.append(replace(flight, t=flight.t + 10.0 * n))
     return records
 
 
 def test_a_recording_that_asks_for_another_k_c_is_said() -> None:
     plant = BALL.campaign.plant
-    said = []
+    reports = []
     for K_c in (1.15 * BALL.K_c, BALL.K_c):
         records = flights(BALL, BALL, replace(BALL, K_c=K_c), ticks=1500)
         criterion = Criterion(gather(records, plant), plant, BALL.tick, workers=1)
         try:
-            said.append(contradictions(criterion, climb(criterion, TRUE, BASE)))
+            reports.append(contradictions(criterion, climb(criterion, TRUE, BASE)))
         finally:
             criterion.close()
 
-    another, nothing = said
-    sentences = [contradiction_sentence(one) for one in another]
+    another, consistent = reports
+    sentences = [contradiction_sentence(contradiction) for contradiction in another]
     assert any(line.startswith("flight_2 contradicts the others: a fit of it alone gives K_c +") for line in sentences)
-    assert nothing == []
+    assert consistent == []
 
 
 def test_a_force_that_begins_within_the_campaign_is_dated() -> None:
@@ -58,22 +58,22 @@ def test_a_force_that_begins_within_the_campaign_is_dated() -> None:
     try:
         # All parameters but the cause's are known here: what is asked is only whether its own blocks agree.
         fit = climb(criterion, TRUE.having(name, -1e-3), (name,))
-        (found,) = beginnings(criterion, fit, ["constant-force"])
+        (beginning,) = beginnings(criterion, fit, ["constant-force"])
     finally:
         criterion.close()
 
-    assert found.recording == "flight_2"
-    assert found.t_s == pytest.approx(records[2].t[0], abs=1.0)  # blocks of a second
+    assert beginning.recording == "flight_2"
+    assert beginning.t_s == pytest.approx(records[2].t[0], abs=1.0)  # blocks of a second
 
 
 def test_recordings_are_put_into_the_order_of_one_clock_only_where_there_is_one() -> None:
     records = flights(BALL, BALL, BALL, ticks=200)
     shuffled = [records[2], records[0], records[1]]
-    own_clocks = [replace(record, t=record.t - record.t[0]) for record in shuffled]
+    separate_clocks = [replace(record, t=record.t - record.t[0]) for record in shuffled]
 
     assert in_time(shuffled) == [1, 2, 0]
-    assert not share_clock(own_clocks)
-    assert in_time(own_clocks) == [0, 1, 2]
+    assert not share_clock(separate_clocks)
+    assert in_time(separate_clocks) == [0, 1, 2]
 
 
 def test_lost_samples_are_counted_and_pauses_are_not() -> None:
@@ -84,10 +84,10 @@ def test_lost_samples_are_counted_and_pauses_are_not() -> None:
     lossy = replace(record, **{name: getattr(record, name)[keep] for name in names})
     paused = replace(record, t=np.where(np.arange(5000) < 2500, record.t, record.t + 1.0))
 
-    found = lost_samples([lossy])
+    loss = lost_samples([lossy])
 
-    assert found is not None
-    assert found.ci95[0] < np.mean(~keep) < found.ci95[1]
+    assert loss is not None
+    assert loss.ci95[0] < np.mean(~keep) < loss.ci95[1]
     assert lost_samples([record]) is None
     assert lost_samples([paused]) is None
 

@@ -48,10 +48,10 @@ def fitted(campaign: Campaign, criterion: Criterion) -> Theta:
 def test_a_current_that_settles_is_no_noise_of_rest(campaign: Campaign) -> None:
     records = read_campaign(campaign)
     quiet_i, quiet_x = sensor_noise(gather(records, campaign.plant))
-    place = next(n for n, record in enumerate(records) if record.kind == "free" and record.has("x"))
-    decays = records[place].i_c.copy()
+    index = next(n for n, record in enumerate(records) if record.kind == "free" and record.has("x"))
+    decays = records[index].i_c.copy()
     decays[400:460] += np.exp(-np.arange(60) / 10.0)
-    records[place] = replace(records[place], i_c=decays)
+    records[index] = replace(records[index], i_c=decays)
 
     sigma_i, sigma_x = sensor_noise(gather(records, campaign.plant))
 
@@ -63,8 +63,8 @@ def test_a_current_that_settles_is_no_noise_of_rest(campaign: Campaign) -> None:
 def test_a_ball_that_hovers_beside_its_stop_does_not_lie_there(campaign: Campaign) -> None:
     """Shaken at lift-off one hung 0.3 mm above the stop for 70 ms: as a reading of the stop it hid two causes."""
     records = read_campaign(campaign)
-    place = next(n for n, record in enumerate(records) if record.kind == "sawtooth")
-    ramp = records[place]
+    index = next(n for n, record in enumerate(records) if record.kind == "sawtooth")
+    ramp = records[index]
     rests = np.flatnonzero(gather(records, campaign.plant).series.flags & RESTS_LOW != 0)
     x = ramp.x.copy()
     # Not the whole rest: 40 samples of it, and a jump to and fro that ends the rests beside them.
@@ -72,12 +72,12 @@ def test_a_ball_that_hovers_beside_its_stop_does_not_lie_there(campaign: Campaig
     middle = int(lies[len(lies) // 2])
     x[middle - 30 : middle - 25], x[middle + 45 : middle + 50] = 2e-3, 2e-3
     x[middle - 25 : middle + 45] += 0.3e-3
-    records[place] = replace(ramp, x=x)
+    records[index] = replace(ramp, x=x)
 
     evidence = gather(records, campaign.plant)
 
-    own = np.flatnonzero(evidence.series.recording == place)
-    flags = evidence.series.flags[own]
+    rows = np.flatnonzero(evidence.series.recording == index)
+    flags = evidence.series.flags[rows]
     assert len(rests) > 0
     assert (flags[middle - 25 : middle + 45] & (RESTS_LOW | USE_X) == 0).all()
     assert (flags[lies[0] + 10 : middle - 60] & RESTS_LOW != 0).sum() > 100
@@ -103,31 +103,31 @@ def test_what_is_removed_of_the_prediction_error(criterion: Criterion, fitted: T
 
 def test_a_confounder_is_tried_at_the_size_of_the_cause_whose_place_it_takes(campaign: Campaign, fitted: Theta) -> None:
     """A delay is right within microseconds or nowhere: no grid of sizes meets it."""
-    own, confounder, size = BY_NAME["actuation-delay"], BY_NAME["sampling-delay"], 2e-3
+    cause, confounder, size = BY_NAME["actuation-delay"], BY_NAME["sampling-delay"], 2e-3
     flights = [record for record in read_campaign(campaign) if record.kind == "closed-loop"]
     evidence = gather(flights, campaign.plant)
-    late = replace(evidence, series=replace(evidence.series, u=np.roll(evidence.series.u, -1)))
-    delayed = Criterion(late, campaign.plant, 2e-3, workers=1)
+    shifted = replace(evidence, series=replace(evidence.series, u=np.roll(evidence.series.u, -1)))
+    delayed = Criterion(shifted, campaign.plant, 2e-3, workers=1)
     try:
-        found = substitute_start(delayed, fitted.having("actuation-delay.delay_s", size), own, confounder)
-        values = delayed.values([fitted.having("sampling-delay.delay_s", one) for one in (0.8 * size, size)])
+        start = substitute_start(delayed, fitted.having("actuation-delay.delay_s", size), cause, confounder)
+        values = delayed.values([fitted.having("sampling-delay.delay_s", delay_s) for delay_s in (0.8 * size, size)])
     finally:
         delayed.close()
 
     assert values[1] > values[0] + 1000.0
-    assert found.value("sampling-delay.delay_s") == size
-    assert found.value("actuation-delay.delay_s") == 0.0
+    assert start.value("sampling-delay.delay_s") == size
+    assert start.value("actuation-delay.delay_s") == 0.0
 
 
 def test_a_ball_beyond_the_range_of_its_sensor_shows_no_stop(campaign: Campaign) -> None:
     """Readings that are all the converter's last value say "below", not "at": a stop there would become a gap."""
     records, offset_m = read_campaign(campaign), 0.6e-3
-    shown = [replace(record, x=record.x + offset_m) for record in records]
+    raised = [replace(record, x=record.x + offset_m) for record in records]
     hidden = [replace(record, x=np.maximum(record.x - offset_m, 0.0)) for record in records]
 
-    seen, unseen = gather(shown, campaign.plant), gather(hidden, campaign.plant)
+    visible, unseen = gather(raised, campaign.plant), gather(hidden, campaign.plant)
 
-    assert seen.low_m == pytest.approx(offset_m, abs=5e-5)
+    assert visible.low_m == pytest.approx(offset_m, abs=5e-5)
     assert unseen.low_m is None
 
 
@@ -149,14 +149,14 @@ def test_noise_that_the_end_of_a_range_cuts_off_is_not_measured(campaign: Campai
 def test_the_current_of_a_ball_that_rests_unseen_tells_its_noise(campaign: Campaign) -> None:
     """Both stops beyond the range: nothing else in the campaign says how good the current sensor is."""
     records = read_campaign(campaign)
-    seen_i, _ = sensor_noise(gather(records, campaign.plant))
+    visible_i, _ = sensor_noise(gather(records, campaign.plant))
     ends = 0.3e-3, campaign.plant.travel_m - 0.3e-3
     blinded = [replace(record, x=np.clip(record.x, *ends)) for record in records]
 
     evidence = gather(blinded, campaign.plant)
 
     assert (evidence.low_m, evidence.high_m) == (None, None)
-    assert sensor_noise(evidence)[0] == pytest.approx(seen_i, rel=0.05)
+    assert sensor_noise(evidence)[0] == pytest.approx(visible_i, rel=0.05)
 
 
 def test_a_sensor_that_reads_too_small_is_tried_where_it_does(campaign: Campaign) -> None:

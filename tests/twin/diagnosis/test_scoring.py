@@ -44,8 +44,8 @@ DIAGNOSIS: dict[str, Any] = {
 ANSWER = read_answer(DIAGNOSIS)
 
 
-def named(*names: str, verdict: str = "causes-found", others: tuple[str, ...] = ()) -> Answer:
-    return Answer(verdict=verdict, causes=tuple(Named(name=n, members=(n, *others), confidence=0.9) for n in names))
+def named(*names: str, verdict: str = "causes-found", similar: tuple[str, ...] = ()) -> Answer:
+    return Answer(verdict=verdict, causes=tuple(Named(name=n, members=(n, *similar), confidence=0.9) for n in names))
 
 
 def outcome(part: str, truths: tuple[str, ...], answer: Answer, *, seed: int = 0, grade: str = "strong") -> Outcome:
@@ -71,18 +71,18 @@ def test_the_first_name_or_a_member_of_its_class_is_right() -> None:
     member = judge("causes", ["position-sensor-offset"], ANSWER)
     other = judge("causes", ["quadratic-drag"], ANSWER)
 
-    assert (first.right, first.first, first.said) == (True, True, "air-gap-offset")
-    assert (member.right, member.first, member.said) == (True, False, "position-sensor-offset")
-    assert (other.right, other.first, other.said, other.false_names) == (False, False, "air-gap-offset", 1)
+    assert (first.right, first.first, first.column) == (True, True, "air-gap-offset")
+    assert (member.right, member.first, member.column) == (True, False, "position-sensor-offset")
+    assert (other.right, other.first, other.column, other.false_names) == (False, False, "air-gap-offset", 1)
     assert first.confidence == 0.98
 
 
 def test_a_class_of_four_does_not_count() -> None:
-    wide = named("a", others=("b", "c", "d"))
+    wide = named("a", similar=("b", "c", "d"))
 
     assert judge("causes", ["a"], wide).right is True
     assert judge("causes", ["b"], wide).right is False
-    assert judge("causes", ["b"], named("a", others=("b", "c"))).right is True
+    assert judge("causes", ["b"], named("a", similar=("b", "c"))).right is True
 
 
 def test_the_second_name_is_not_right_for_a_single_cause() -> None:
@@ -92,17 +92,17 @@ def test_the_second_name_is_not_right_for_a_single_cause() -> None:
 def test_a_cause_said_to_be_not_testable_is_counted_by_itself() -> None:
     silent = replace(ANSWER, verdict="model-adequate", causes=())
 
-    judged = judge("causes", ["current-sensor-gain"], silent)
+    judgement = judge("causes", ["current-sensor-gain"], silent)
 
-    assert judged.right is None
-    assert judged.said == "not-testable"
+    assert judgement.right is None
+    assert judgement.column == "not-testable"
     assert judge("causes", ["motional-emf"], silent).right is False
 
 
 def test_a_composite_is_right_by_its_share() -> None:
-    judged = judge("composites", ["a", "b", "x"], named("b", "a", "z"))
+    judgement = judge("composites", ["a", "b", "x"], named("b", "a", "z"))
 
-    assert (judged.found, judged.truths, judged.false_names, judged.right) == (2, 3, 1, False)
+    assert (judgement.hits, judgement.truths, judgement.false_names, judgement.right) == (2, 3, 1, False)
     assert judge("composites", ["a", "b"], named("b", "a")).right is True
 
 
@@ -155,12 +155,12 @@ def test_rates_matrix_and_reliability_count_what_they_say() -> None:
         replace(outcome("composites", ("a", "b"), ANSWER), status="grounded", judgement=None),
     ]
 
-    found = {rate.name: (rate.hits, rate.count) for rate in rates(outcomes)}
-    right, said = confusion(outcomes)["quadratic-drag"]
+    counts = {rate.name: (rate.hits, rate.count) for rate in rates(outcomes)}
+    right, name_counts = confusion(outcomes)["quadratic-drag"]
     ((mean, _, bin_rate),) = reliability(outcomes)
     share, count = removed_median(outcomes)
 
-    assert found == {
+    assert counts == {
         "strong: right (first, or in a class of at most 3)": (1, 2),
         "strong: first": (1, 2),
         "medium: right (first, or in a class of at most 3)": (0, 1),
@@ -178,7 +178,7 @@ def test_rates_matrix_and_reliability_count_what_they_say() -> None:
         "2 causes: all found": (0, 1),
         "campaigns without an answer": (1, 9),
     }
-    assert (right, dict(said)) == (0, {"air-gap-offset": 1})
+    assert (right, dict(name_counts)) == (0, {"air-gap-offset": 1})
     assert confusion(outcomes)["wire-spring"] == (1, {"unknown-cause": 1})
     assert mean == pytest.approx(0.98)
     assert (bin_rate.hits, bin_rate.count) == (1, 2)
@@ -197,13 +197,13 @@ def test_an_empty_rate_has_no_value() -> None:
 
 def test_results_of_this_program_are_not_run_again(tmp_path: Path) -> None:
     results = tmp_path / "results.jsonl"
-    done = [outcome("nulls", (), Answer(verdict="model-adequate"), seed=seed) for seed in (0, 1)]
-    lines = [json.dumps(one.to_json()) for one in done]
+    outcomes = [outcome("nulls", (), Answer(verdict="model-adequate"), seed=seed) for seed in (0, 1)]
+    lines = [json.dumps(entry.to_json()) for entry in outcomes]
     results.write_text("\n".join([*lines, lines[0][:40]]), encoding="utf-8")  # the last one was cut off
 
     again = play([("nulls", 1), ("nulls", 0)], program="p", results=results)
 
-    assert again == [done[1], done[0]]
+    assert again == [outcomes[1], outcomes[0]]
     assert isinstance(again[0].judgement, Judgement)
 
 
@@ -226,6 +226,6 @@ def test_a_limit_that_nothing_reached_is_no_miss_and_a_false_name_still_is() -> 
     silent = judge("causes", ["current-limit"], Answer(verdict="model-adequate"), in_the_data=False)
     wrong = judge("causes", ["current-limit"], ANSWER, in_the_data=False)
 
-    assert (silent.right, silent.said) == (None, "not-in-the-data")
+    assert (silent.right, silent.column) == (None, "not-in-the-data")
     assert wrong.right is False
     assert judge("causes", ["current-limit"], Answer(verdict="model-adequate")).right is False

@@ -13,7 +13,7 @@ import pytest
 
 from protocol.errors import DataError
 from tests.harness.truth.answer import ALL, Answer, read_answer, write_answer
-from tests.harness.truth.draw import NOTHING, OTHER, PLACES, Truth, place_of
+from tests.harness.truth.draw import NO_CAUSE, OTHER, PLACES, Truth, place_of
 from tests.harness.truth.entries import probabilities_of, spread
 from tests.harness.truth.flights import counted
 from tests.harness.truth.residual import MEANS, Regression, Table, forward_bic
@@ -28,7 +28,7 @@ TRUTH = Truth(
     places=("force",),
     floor_m=3e-6,
 )
-NULL = replace(TRUTH, part="nulls", names=(NOTHING,), hidden={}, places=())
+NULL = replace(TRUTH, part="nulls", names=(NO_CAUSE,), hidden={}, places=())
 UNKNOWN = replace(TRUTH, part="outside", names=(OTHER,), hidden={"wire-spring": 1e6})
 ANSWER = Answer(
     verdict="cause",
@@ -74,9 +74,9 @@ def test_nothing_is_removed_where_nothing_was_missing() -> None:
 
 
 def test_calibration_error_by_hand() -> None:
-    one = score(TRUTH, ANSWER, base_m=1.0, error_m=1.0)
+    scored = score(TRUTH, ANSWER, base_m=1.0, error_m=1.0)
     # Bin 0.6 to 0.8: 0.7 stated, half of them right. Bin 0.8 to 1: 0.9 stated, right.
-    scores = [one, replace(one, is_top=False), replace(one, top=0.9), replace(one, top=1.0)]
+    scores = [scored, replace(scored, is_top=False), replace(scored, top=0.9), replace(scored, top=1.0)]
 
     assert calibration_error(scores) == pytest.approx((2 * 0.2 + 2 * 0.05) / 4)
 
@@ -88,9 +88,9 @@ def test_paired_interval_is_of_the_differences() -> None:
 
 
 def test_the_table_has_a_row_for_each_entry_and_counts_what_is_missing() -> None:
-    one = score(TRUTH, ANSWER, base_m=13e-6, error_m=5e-6)
+    scored = score(TRUTH, ANSWER, base_m=13e-6, error_m=5e-6)
 
-    rows = table({"ours": [one], "theirs": [unanswered(TRUTH, base_m=13e-6)]}).splitlines()
+    rows = table({"ours": [scored], "theirs": [unanswered(TRUTH, base_m=13e-6)]}).splitlines()
 
     assert rows[2].startswith("| ours | 0.70 | -0.36 |  | - | 0 of 1 | 1 of 1 | 2.0 | 0.30 | 90% | 2.0 |")
     assert rows[3].startswith("| theirs (1 unanswered) | 0.00 | -6.91 | -6.55 (-6.55 .. -6.55) | - | - | 0 of 1 |")
@@ -155,7 +155,7 @@ def test_what_is_wrong_in_predictions_is_said(tmp_path: Path, text: str, problem
 
 
 def test_a_written_answer_is_read_back(tmp_path: Path) -> None:
-    weights = {"core-saturation": 3.0, NOTHING: 1.0}
+    weights = {"core-saturation": 3.0, NO_CAUSE: 1.0}
     write_answer(
         tmp_path, weights, verdict="cause", place="force", names=["core-saturation"],
         predicted={"a.csv": [(0.5, 2e-3)]}, seconds=1.0,
@@ -163,7 +163,7 @@ def test_a_written_answer_is_read_back(tmp_path: Path) -> None:
 
     answer, predicted = read_answer(tmp_path)
 
-    assert answer.probabilities == {"core-saturation": 0.75, NOTHING: 0.25}
+    assert answer.probabilities == {"core-saturation": 0.75, NO_CAUSE: 0.25}
     assert predicted == {("a.csv", 5000): 2e-3}
 
 
@@ -191,16 +191,16 @@ def test_a_diagnosis_becomes_probabilities() -> None:
         "alternatives": [{"name": "force-exponent", "log_likelihood_lead": -math.log(2.0), "stated": False}],
     }
 
-    found = probabilities_of({"verdict": "causes-found", "causes": [cause]})
+    explained = probabilities_of({"verdict": "causes-found", "causes": [cause]})
     doubted = probabilities_of({"verdict": "unknown-cause", "causes": [], "candidates": [cause | {"confidence": 0.2}]})
     adequate = probabilities_of({"verdict": "model-adequate", "causes": []})
 
-    assert found["core-saturation"] == pytest.approx(0.6 + 0.1 / len(ALL))
-    assert found["force-exponent"] == pytest.approx(0.3 + 0.1 / len(ALL))
+    assert explained["core-saturation"] == pytest.approx(0.6 + 0.1 / len(ALL))
+    assert explained["force-exponent"] == pytest.approx(0.3 + 0.1 / len(ALL))
     assert doubted[OTHER] == pytest.approx(0.8)
-    assert adequate[NOTHING] == pytest.approx(0.95 + 0.05 / len(ALL))
-    for one in (found, doubted, adequate):
-        assert math.fsum(one.values()) == pytest.approx(1.0)
+    assert adequate[NO_CAUSE] == pytest.approx(0.95 + 0.05 / len(ALL))
+    for probabilities in (explained, doubted, adequate):
+        assert math.fsum(probabilities.values()) == pytest.approx(1.0)
 
 
 def test_forward_selection_finds_the_term_and_only_that() -> None:
@@ -211,12 +211,12 @@ def test_forward_selection_finds_the_term_and_only_that() -> None:
     residuals[:, 0] += 3e-5 * v * np.abs(v)
     table = Table(keys=[], x_hat=np.zeros(4000), residuals=residuals, features=features)
 
-    found = forward_bic(table, table)
+    regression = forward_bic(table, table)
 
-    assert [(channel, term) for channel, term, _ in found.terms] == [("x", "v|v|")]
-    assert spread(found)["quadratic-drag"] > 0.8
-    assert spread(Regression(correction=np.zeros(0), terms=[]))[NOTHING] > 0.8
-    left = residuals[:, 0] - found.correction * residuals[:, 0].std()
+    assert [(channel, term) for channel, term, _ in regression.terms] == [("x", "v|v|")]
+    assert spread(regression)["quadratic-drag"] > 0.8
+    assert spread(Regression(correction=np.zeros(0), terms=[]))[NO_CAUSE] > 0.8
+    left = residuals[:, 0] - regression.correction * residuals[:, 0].std()
     assert left.std() == pytest.approx(1e-5, rel=0.05)
 
 

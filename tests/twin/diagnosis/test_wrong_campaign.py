@@ -21,9 +21,9 @@ SEED = 5
 
 
 def answer(folder: Path) -> Diagnosis:
-    found = diagnose(load(folder), Options(quick=True, workers=1))
-    result.to_json(found)  # whether its numbers agree
-    return found
+    diagnosis = diagnose(load(folder), Options(quick=True, workers=1))
+    result.to_json(diagnosis)  # whether its numbers agree
+    return diagnosis
 
 
 def stated(folder: Path, key: str, change: Callable[[float], float]) -> None:
@@ -58,19 +58,19 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "campaign"
 
 
-def members(found: Diagnosis) -> dict[str, Member]:
+def members(diagnosis: Diagnosis) -> dict[str, Member]:
     """The class of the only name."""
-    (finding,) = found.causes
+    (finding,) = diagnosis.causes
     return {member.name: member for member in finding.indistinguishable_from}
 
 
 def test_a_mass_that_is_6_percent_wrong_is_not_testable_and_a_balance_settles_it(folder: Path) -> None:
     stated(folder, "mass_kg", lambda mass: 1.06 * mass)
 
-    found = answer(folder)
+    diagnosis = answer(folder)
 
-    (mass,) = (entry for entry in found.not_testable if entry.name == "stated-mass")
-    assert found.verdict == "model-adequate"
+    (mass,) = (entry for entry in diagnosis.not_testable if entry.name == "stated-mass")
+    assert diagnosis.verdict == "model-adequate"
     assert mass.why == "absorbed by K_c; weigh the ball on a kitchen balance"
 
 

@@ -29,12 +29,12 @@ def innovations_of(theta: Theta, tau_s: float) -> NDArray[np.float64]:
     rng = np.random.default_rng(5)
     records = [
         replace(
-            one,
-            i_c=one.i_c + I_A * forgetful(rng, one.t, tau_s),
-            x=one.x + X_M * forgetful(rng, one.t, tau_s),
+            record,
+            i_c=record.i_c + I_A * forgetful(rng, record.t, tau_s),
+            x=record.x + X_M * forgetful(rng, record.t, tau_s),
         )
-        for one in narrow(QUIET, seconds=12.0)
-        if one.kind == "closed-loop"
+        for record in narrow(QUIET, seconds=12.0)
+        if record.kind == "closed-loop"
     ]
     criterion = criterion_of(records)
     white = whitened(criterion.outputs(theta))

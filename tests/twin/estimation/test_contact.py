@@ -37,15 +37,15 @@ def record(x: FloatArray, kind: Kind = "prbs") -> Record:
 
 def thrown(speed_m_s: float, *, lag_s: float = 0.0, drag: float = 0.0, stop_m: float = 5.7e-3) -> FloatArray:
     """Heights of a ball thrown up from 1 mm, shape (50,); it leaves a stop with 0.4 of its speed.  drag: 1/m."""
-    fine, x, v, seen, heights = 1e-5, 1e-3, speed_m_s, 1e-3, []
-    for step in range(50 * round(TICK_S / fine)):
-        if step % round(TICK_S / fine) == 0:
-            heights.append(seen)
-        v -= (9.81 + drag * v * abs(v)) * fine
-        x += v * fine
+    interval_s, x, v, reading, heights = 1e-5, 1e-3, speed_m_s, 1e-3, []
+    for step in range(50 * round(TICK_S / interval_s)):
+        if step % round(TICK_S / interval_s) == 0:
+            heights.append(reading)
+        v -= (9.81 + drag * v * abs(v)) * interval_s
+        x += v * interval_s
         if x > stop_m and v > 0.0:
             x, v = stop_m, -0.4 * v
-        seen += (x - seen) * (fine / lag_s if lag_s else 1.0)
+        reading += (x - reading) * (interval_s / lag_s if lag_s else 1.0)
     return np.array(heights)
 
 

@@ -38,11 +38,11 @@ def test_two_equally_good_models_are_seldom_told_apart_in_any_of_fifty_groups() 
     for _ in range(trials):
         bins = error_bins(rng.standard_normal((2, n)), labels, names, labels.astype(float), blocks)
         assert len(bins) == groups
-        failed += any(holm([one.chance for one in bins]))
+        failed += any(holm([error_bin.chance for error_bin in bins]))
 
     # Few blocks make the tail a little heavier: twice the level, and 3 standard errors of the trials.
-    most = 2.0 * FAMILY_LEVEL
-    assert failed / trials <= most + 3.0 * math.sqrt(most * (1.0 - most) / trials)
+    limit = 2.0 * FAMILY_LEVEL
+    assert failed / trials <= limit + 3.0 * math.sqrt(limit * (1.0 - limit) / trials)
 
 
 def test_a_level_of_its_own_can_be_given() -> None:

@@ -72,9 +72,9 @@ def test_the_closed_form_is_the_step_of_the_model_without_causes() -> None:
 def test_a_lagging_field_begins_as_uncertain_as_a_current_behind_a_slow_sensor(tau_s: float) -> None:
     """Were it known, each start would favour eddy currents."""
 
-    def variance(place: int, row: int) -> float:
+    def variance(index: int, row: int) -> float:
         c = neutral()
-        c[place] = tau_s
+        c[index] = tau_s
         spread = ekf.filtered(System(BASE, c, NOISE, AT_THE_ENDS), readings(40), spread=True).spread
         return float(spread[0, row, row])
 
@@ -87,12 +87,12 @@ def test_a_capture_shows_its_share_of_a_delay_and_the_loop_all_of_it() -> None:
     """As where the loop's output is late: a capture counts its time from its own step."""
     samples = steps_of_u(CAPTURED, 0)
 
-    late = innovations(samples, delay_s=4e-4, share=0.25)
+    delayed = innovations(samples, delay_s=4e-4, share=0.25)
 
     half = len(samples.u) // 2
-    np.testing.assert_array_equal(late[:half], innovations(samples, delay_s=1e-4)[:half])
-    np.testing.assert_array_equal(late[half:], innovations(samples, delay_s=4e-4)[half:])
-    assert not np.allclose(late[:half], innovations(samples, delay_s=4e-4)[:half], equal_nan=True)
+    np.testing.assert_array_equal(delayed[:half], innovations(samples, delay_s=1e-4)[:half])
+    np.testing.assert_array_equal(delayed[half:], innovations(samples, delay_s=4e-4)[half:])
+    assert not np.allclose(delayed[:half], innovations(samples, delay_s=4e-4)[:half], equal_nan=True)
 
 
 def steps_of_u(*kinds: int) -> Samples:

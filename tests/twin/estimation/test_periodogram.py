@@ -22,8 +22,8 @@ def noise(seed: int, *, coloured: float = 0.0) -> list[FloatArray]:
 
 
 def log_chance(spectrum: Periodogram) -> float:
-    inside = (spectrum.frequency_hz > LOWEST_HZ) & (spectrum.frequency_hz < HIGHEST_HZ)
-    return spectrum.log_chance(int(np.argmax(np.where(inside, spectrum.share, 0.0))))
+    in_band = (spectrum.frequency_hz > LOWEST_HZ) & (spectrum.frequency_hz < HIGHEST_HZ)
+    return spectrum.log_chance(int(np.argmax(np.where(in_band, spectrum.share, 0.0))))
 
 
 @pytest.mark.parametrize("coloured", [0.0, 0.8])

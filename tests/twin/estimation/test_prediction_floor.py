@@ -40,7 +40,7 @@ STRENGTHS = {
     "second-time-constant": 0.2,
     "slew-rate-limit": 10.0,
 }
-NOTHING = "nothing"
+NO_CAUSE = "nothing"
 # What the linear motion over the horizon leaves out; friction that hardly holds the ball is not linear at all.
 LINEAR, RUBBING = 0.01, 0.04
 
@@ -69,10 +69,10 @@ SLOW = {"periodic-disturbance"}
 CASES = [pytest.param(cause.name, marks=[pytest.mark.slow] * (cause.name in SLOW)) for cause in CATALOGUE]
 
 
-@pytest.mark.parametrize("cause", [NOTHING, *CASES])
+@pytest.mark.parametrize("cause", [NO_CAUSE, *CASES])
 def test_the_floor_is_what_the_true_model_gets_wrong(cause: str) -> None:
     theta = RIG
-    if cause != NOTHING:
+    if cause != NO_CAUSE:
         theta = strong(cause, STRENGTHS.get(cause) or EFFECTS[cause].strong, RIG)
     ratio, chance = compared(theta, flown(theta, seed=5), 10)
 
@@ -99,23 +99,23 @@ def test_a_phase_that_nobody_told_costs_the_prediction_nothing() -> None:
     assert ratio == pytest.approx(1.0, abs=LINEAR + 4.0 * chance)
 
 
-@pytest.mark.parametrize("cause", [NOTHING, "coulomb-friction"])
+@pytest.mark.parametrize("cause", [NO_CAUSE, "coulomb-friction"])
 def test_diagnose_and_validate_print_the_same_floor(cause: str) -> None:
     """For one model with one noise, on one recording; `validate` begins its flights a tenth of a second in, too."""
-    theta = QUIET if cause == NOTHING else strong(cause, EFFECTS[cause].strong, QUIET)
+    theta = QUIET if cause == NO_CAUSE else strong(cause, EFFECTS[cause].strong, QUIET)
     evidence = flown(theta, seed=7, seconds=10.0)
     floor = Floor(sigma_i_c_a=theta.sigma_i_c_a, sigma_x_m=theta.sigma_x_m, measured=True)
     model = model_of(campaign(), fit_of(theta, 0.0), {}, evidence.records, 0.0, "the rig itself")
 
-    judged = filtered(source_of(evidence.records[0], model), model)
+    estimates = filtered(source_of(evidence.records[0], model), model)
 
-    assert judged is not None
-    for row in multi_step([judged]):
+    assert estimates is not None
+    for row in multi_step([estimates]):
         samples = round(row.horizon_s / TICK_S)
         yardstick = Yardstick(judge=evidence, floor=floor, plant=PLANT, tick_s=TICK_S, seed=0)
-        told = yardstick.gain(theta, theta, samples)
-        assert told is not None
-        assert row.floor_m == pytest.approx(told.floor_m, rel=2e-3)
+        gain = yardstick.gain(theta, theta, samples)
+        assert gain is not None
+        assert row.floor_m == pytest.approx(gain.floor_m, rel=2e-3)
 
 
 def test_what_a_model_gets_wrong_is_not_forgiven_for_the_process_noise_that_took_it_up() -> None:
@@ -125,9 +125,9 @@ def test_what_a_model_gets_wrong_is_not_forgiven_for_the_process_noise_that_took
 
     for theta in (rig, replace(QUIET, process_a_m_s2=0.4)):  # such noise a fit without drag ends with
         model = model_of(campaign(), fit_of(theta, 0.0), {}, [record], 0.0, "")
-        judged = filtered(source_of(record, model), model)
-        assert judged is not None
-        rows.append({round(row.horizon_s / TICK_S): row for row in multi_step([judged])})
+        estimates = filtered(source_of(record, model), model)
+        assert estimates is not None
+        rows.append({round(row.horizon_s / TICK_S): row for row in multi_step([estimates])})
 
     right, wrong = rows
     assert all(row.at_floor for row in right.values())

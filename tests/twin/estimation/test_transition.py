@@ -11,7 +11,7 @@ from twin.estimation.ekf.transition import moments, transit
 from twin.model.extended import Base
 
 
-def fine(p: Base, T_s: float, i: float, x: float, v: float, u: float) -> tuple[float, float, float]:
+def integrate(p: Base, T_s: float, i: float, x: float, v: float, u: float) -> tuple[float, float, float]:
     """Midpoint rule in steps of T_s/20000: error of order (T_s/20000)^2."""
     h = T_s / 20_000
     e = p.K_A * u
@@ -32,7 +32,7 @@ def test_one_interval_is_the_solution_of_the_equations(T_A: float, T_s: float) -
 
     got = transit(p, integrals, T_s, 0.7, 2.9e-3, 0.1, 2.0)
 
-    want = fine(p, T_s, 0.7, 2.9e-3, 0.1, 2.0)
+    want = integrate(p, T_s, 0.7, 2.9e-3, 0.1, 2.0)
     # The parabola through 1/gap^2 misses its third derivative: x'' is off by about k i^2 (24 v^3 / gap^5) T_s^3 / 200.
     error = 6.8e-4 * 0.49 * 24 * 0.1**3 / 5.2e-3**5 * T_s**3 / 200
     assert got[0] == pytest.approx(want[0], abs=1e-12)

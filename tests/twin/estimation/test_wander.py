@@ -34,18 +34,18 @@ def flight(theta: Theta, name: str, wander: float, seed: int) -> Record:
     rng = np.random.default_rng(seed)
     n = round(SECONDS / TICK_S)
     base, c = theta.base(PLANT), theta.vector()
-    offset = next(place for place, walk in OFFSETS if walk == parameter_of(name).index)
+    offset = next(index for index, walk in OFFSETS if walk == parameter_of(name).index)
     y, u_0 = at_rest(base, c, MIDDLE_M)
-    by = wander * math.sqrt(TICK_S / MINUTE_S)
+    step = wander * math.sqrt(TICK_S / MINUTE_S)
     rows = np.empty((n, 4))
     for k in range(n):
-        wanted = MIDDLE_M + 0.5e-3 * (1.0 if k % 300 < 150 else -1.0)
-        u = u_0 + 900.0 * (wanted - y[X]) - 22.0 * y[V]
-        shown_i = current_reading(c, y[I_C]) + theta.sigma_i_c_a * rng.normal()
-        shown_x = position_reading(base, c, y[X], y[I_C]) + theta.sigma_x_m * rng.normal()
-        rows[k] = u, shown_i, shown_x, wanted
+        target_m = MIDDLE_M + 0.5e-3 * (1.0 if k % 300 < 150 else -1.0)
+        u = u_0 + 900.0 * (target_m - y[X]) - 22.0 * y[V]
+        reading_i = current_reading(c, y[I_C]) + theta.sigma_i_c_a * rng.normal()
+        reading_x = position_reading(base, c, y[X], y[I_C]) + theta.sigma_x_m * rng.normal()
+        rows[k] = u, reading_i, reading_x, target_m
         advance(tuple(base), c, y, u, 0.0, TICK_S, False)
-        c[offset] += by * rng.normal()
+        c[offset] += step * rng.normal()
     t = TICK_S * np.arange(n, dtype=np.float64)
     return replace(
         steps(theta, seed=1, seconds=0.5), t=t, u_c=rows[:, 0], i_c=rows[:, 1], x=rows[:, 2], x_ref=rows[:, 3]

@@ -39,15 +39,15 @@ def test_white_noise_stays_white(campaign: Path) -> None:
 
 def test_coloured_noise_of_x_is_told_at_rest(campaign: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(campaign, tmp_path / "copy"))
-    kept, times = 0.7, 3.0
-    worse(folder, "*", x=Instrument(noise=times * RIG.position_noise_m, colour=kept))
+    colour, times = 0.7, 3.0
+    worse(folder, "*", x=Instrument(noise=times * RIG.position_noise_m, colour=colour))
 
     i_c, x, captured = colours_of(evidence_of(folder))
 
     assert i_c is None
     assert captured is None
     assert x is not None
-    assert x.tau_s == pytest.approx(-TICK_S / np.log(kept), rel=0.4)
+    assert x.tau_s == pytest.approx(-TICK_S / np.log(colour), rel=0.4)
     assert x.white == pytest.approx(1.0 / (1.0 + times**2), abs=0.1)
     assert x.sigma == pytest.approx(np.hypot(1.0, times) * RIG.position_noise_m, rel=0.2)
 

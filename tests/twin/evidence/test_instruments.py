@@ -58,10 +58,10 @@ def answer(folder: Path) -> Diagnosis:
     return diagnose(load(folder), Options(quick=True, workers=1))
 
 
-def assert_found(found: Diagnosis) -> None:
-    assert found.verdict == "causes-found", found.sentence
-    assert [cause.name for cause in found.causes] == list(EFFECTS)
-    value = found.causes[0].parameters["d_m"].value
+def assert_diagnosed(diagnosis: Diagnosis) -> None:
+    assert diagnosis.verdict == "causes-found", diagnosis.sentence
+    assert [cause.name for cause in diagnosis.causes] == list(EFFECTS)
+    value = diagnosis.causes[0].parameters["d_m"].value
     assert value == pytest.approx(EFFECTS["air-gap-offset"], rel=0.02)
 
 
@@ -80,13 +80,13 @@ def test_an_oscilloscope_beside_the_board_has_a_noise_of_its_own(campaign: Path,
     folder = copy_of(campaign, tmp_path)
     worse(folder, "step_*", i_c=Instrument(noise=I_A * math.sqrt(SCOPE**2 - 1.0), lowest=NO_LESS))
 
-    found = answer(folder)
+    diagnosis = answer(folder)
 
-    assert_found(found)
-    told = to_json(found)["noise"]["i_c"]
-    scope = next(one for one in told["instruments"] if "step_1.csv.gz" in one["recordings"])
+    assert_diagnosed(diagnosis)
+    noise = to_json(diagnosis)["noise"]["i_c"]
+    scope = next(entry for entry in noise["instruments"] if "step_1.csv.gz" in entry["recordings"])
     assert scope["sigma"] == pytest.approx(SCOPE * I_A, rel=0.1)
-    assert told["sigma"] == pytest.approx(I_A, rel=0.1)
+    assert noise["sigma"] == pytest.approx(I_A, rel=0.1)
 
 
 @pytest.mark.sample
@@ -94,11 +94,11 @@ def test_judges_of_a_noisier_session_do_not_speak_against_the_cause(campaign: Pa
     folder = copy_of(campaign, tmp_path)
     worse(folder, "closed_loop_[5-8]", i_c=Instrument(noise=I_A, lowest=NO_LESS), x=Instrument(noise=X_M))
 
-    found = answer(folder)
+    diagnosis = answer(folder)
 
-    assert_found(found)
-    assert found.fit_evidence.noise is not None
-    later = level_of(found.fit_evidence.noise.channels[1], "closed_loop_6.csv.gz", flies=True)
+    assert_diagnosed(diagnosis)
+    assert diagnosis.fit_evidence.noise is not None
+    later = level_of(diagnosis.fit_evidence.noise.channels[1], "closed_loop_6.csv.gz", flies=True)
     assert later.ratio == pytest.approx(math.sqrt(2.0), rel=0.1)
 
 
@@ -115,16 +115,16 @@ def test_outliers_of_ten_times_the_noise_are_left_out(campaign: Path, tmp_path: 
     before = evidence_of(folder)
 
     after = without_outliers(before)
-    found = answer(folder)
+    diagnosis = answer(folder)
 
     clean = evidence_of(campaign).series
     for use, was, now, sigma in ((USE_I, clean.i, before.series.i, I_A), (USE_X, clean.x, before.series.x, X_M)):
         used = before.series.flags & use != 0
-        wild, gone = used & (np.abs(now - was) > 8.0 * sigma), used & (after.series.flags & use == 0)
-        assert np.count_nonzero(wild & gone) > 0.85 * np.count_nonzero(wild) > 20
-        assert np.count_nonzero(gone & ~wild) <= 2
+        wild, removed = used & (np.abs(now - was) > 8.0 * sigma), used & (after.series.flags & use == 0)
+        assert np.count_nonzero(wild & removed) > 0.85 * np.count_nonzero(wild) > 20
+        assert np.count_nonzero(removed & ~wild) <= 2
     assert sum(usage.outliers for usage in after.usages) > sum(usage.outliers for usage in before.usages)
-    assert_found(found)
+    assert_diagnosed(diagnosis)
 
 
 @pytest.mark.sample
@@ -133,7 +133,7 @@ def test_heavy_tails_bring_no_other_answer(campaign: Path, tmp_path: Path) -> No
     tail = Instrument(noise=1.5 * I_A, tail=4.0, lowest=NO_LESS)
     worse(folder, "*", i_c=tail, x=Instrument(noise=1.5 * X_M, tail=4.0))
 
-    assert_found(answer(folder))
+    assert_diagnosed(answer(folder))
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ def higher(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.sample
 def test_noise_that_grows_with_the_height_is_no_cause(higher: Path) -> None:
-    assert_found(answer(higher))
+    assert_diagnosed(answer(higher))
 
 
 def test_noise_that_grows_with_the_height_is_seen(higher: Path) -> None:
@@ -175,9 +175,9 @@ def test_a_reading_that_is_twice_as_noisy_weighs_as_one_of_a_sensor_that_is() ->
     noisier = samples._replace(noise_ratio=np.tile((1.0, 4.0), (len(samples.u), 1)))
     plain = THETA.system(PLANT, criterion.tick_s)
 
-    there, here = filtered(system, samples).innovations, filtered(plain, noisier).innovations
+    from_system, from_samples = filtered(system, samples).innovations, filtered(plain, noisier).innovations
 
-    np.testing.assert_array_equal(here, there)
+    np.testing.assert_array_equal(from_samples, from_system)
     predicted = np.arange(len(samples.u)) > 300
     assert floor_rmse(plain, noisier, 10, predicted) == floor_rmse(system, samples, 10, predicted)
     criterion.close()

@@ -45,16 +45,16 @@ def flight(theta: Theta, *, seed: int, seconds: float = 20.0) -> Record:
     return record
 
 
-def less(record: Record, gone: BoolArray) -> Record:
+def less(record: Record, removed: BoolArray) -> Record:
     """The recording without those samples."""
-    retained = {name: getattr(record, name)[~gone] for name in ("t", "u_c", "i_c", "x", "x_ref")}
+    retained = {name: getattr(record, name)[~removed] for name in ("t", "u_c", "i_c", "x", "x_ref")}
     return replace(record, **retained)
 
 
 def drawn(record: Record, share: float, seed: int) -> BoolArray:
-    gone = np.random.default_rng(seed).random(len(record.t)) < share
-    gone[[0, -1]] = False
-    return np.asarray(gone)
+    removed = np.random.default_rng(seed).random(len(record.t)) < share
+    removed[[0, -1]] = False
+    return np.asarray(removed)
 
 
 @pytest.mark.slow
@@ -100,18 +100,18 @@ def test_behind_a_lost_sample_x_surprises_the_right_model_no_more_than_elsewhere
 
 def test_up_to_three_lost_samples_in_a_row_get_rows_and_more_stay_a_gap() -> None:
     record = flight(NOISY, seed=7, seconds=2.0)
-    gone = np.zeros(len(record.t), np.bool_)
-    gone[[300, 500, 501, 502, 600, 601, 602, 603, 700, 701]] = True
+    removed = np.zeros(len(record.t), np.bool_)
+    removed[[300, 500, 501, 502, 600, 601, 602, 603, 700, 701]] = True
     rows = [300, 500, 501, 502, 696, 697]  # without the four
 
-    whole, lost = bridged(less(record, gone))
+    whole, lost = bridged(less(record, removed))
 
     assert np.flatnonzero(lost).tolist() == rows
-    assert np.delete(whole.t, rows).tolist() == less(record, gone).t.tolist()
+    assert np.delete(whole.t, rows).tolist() == less(record, removed).t.tolist()
     assert whole.t[500:503] == pytest.approx(record.t[500:503])
     assert whole.u_c[500:503] == pytest.approx(record.u_c[499])
     assert whole.x[lost] == pytest.approx(record.x[[300, 500, 501, 502, 700, 701]], abs=5.0 * NOISY.sigma_x_m)
-    series = gather([less(record, gone)], PLANT).series
+    series = gather([less(record, removed)], PLANT).series
     assert np.flatnonzero(series.flags & LOST != 0).tolist() == rows
     assert (series.flags[[300, 301, 500, 501, 502, 503]] & FOLLOWS != 0).all()
     assert (series.flags[rows] & (USE_I | USE_X) == 0).all()
@@ -123,10 +123,10 @@ def test_where_u_c_jumps_only_a_single_lost_sample_gets_a_row() -> None:
     jumps = replace(
         record, u_c=record.u_c + 3.0 * (np.arange(len(record.t)) >= 502) - 3.0 * (record.t >= record.t[701])
     )
-    gone = np.zeros(len(record.t), np.bool_)
-    gone[[500, 501, 502, 701, 800, 801]] = True
+    removed = np.zeros(len(record.t), np.bool_)
+    removed[[500, 501, 502, 701, 800, 801]] = True
 
-    _, lost = bridged(less(jumps, gone))
+    _, lost = bridged(less(jumps, removed))
 
     assert np.flatnonzero(lost).tolist() == [698, 797, 798]  # without the three
 
@@ -152,12 +152,12 @@ def at_rest(seconds: float) -> Record:
 
 def test_a_sample_lost_at_rest_is_a_gap_only_where_u_c_changes() -> None:
     rests = at_rest(2.0)
-    gone = np.zeros(len(rests.t), np.bool_)
-    gone[[400, 600, 601]] = True
-    changed = replace(rests, u_c=rests.u_c + 0.1 * (np.arange(len(gone)) >= 500))
+    removed = np.zeros(len(rests.t), np.bool_)
+    removed[[400, 600, 601]] = True
+    changed = replace(rests, u_c=rests.u_c + 0.1 * (np.arange(len(removed)) >= 500))
 
-    flags = gather([less(changed, gone)], PLANT).series.flags
-    split = gather([less(replace(changed, u_c=np.roll(changed.u_c, -100)), gone)], PLANT).series.flags
+    flags = gather([less(changed, removed)], PLANT).series.flags
+    split = gather([less(replace(changed, u_c=np.roll(changed.u_c, -100)), removed)], PLANT).series.flags
 
     assert np.flatnonzero(flags & LOST != 0).tolist() == np.flatnonzero(split & LOST != 0).tolist() == [400, 600, 601]
     assert (flags[[400, 401, 600, 601, 602]] & FOLLOWS != 0).all()
@@ -182,30 +182,30 @@ def test_lost_samples_hide_no_ball_at_rest_from_the_measurement_of_noise() -> No
 
 def test_an_interpolated_reading_is_not_beyond_the_converter_s_range() -> None:
     record = flight(NOISY, seed=7, seconds=2.0)
-    gone = np.arange(len(record.t)) == 500
+    removed = np.arange(len(record.t)) == 500
     i_c = record.i_c.copy()
     i_c[[499, 501]] = 0.0  # the end of the range, with higher readings around it
 
-    whole, _ = bridged(less(replace(record, i_c=i_c), gone))
+    whole, _ = bridged(less(replace(record, i_c=i_c), removed))
 
     assert whole.i_c[500] == 0.0
 
 
 def test_nothing_is_predicted_across_a_lost_input() -> None:
     record = flight(NOISY, seed=7, seconds=2.0)
-    gone = np.zeros(len(record.t), np.bool_)
-    gone[500] = True
-    evidence = gather([less(record, gone)], PLANT)
+    removed = np.zeros(len(record.t), np.bool_)
+    removed[500] = True
+    evidence = gather([less(record, removed)], PLANT)
     s, ahead = evidence.series, 10
 
     x_hat = predict_ahead(NOISY.system(PLANT, TICK_S), evidence.samples, ahead)
 
-    there = np.isfinite(x_hat)
+    is_predicted = np.isfinite(x_hat)
     begins = np.flatnonzero(s.flags & FLIES != 0)[0] + ahead + round(SETTLE_S / TICK_S)
-    assert there[begins + 1 : 500].all()
-    assert not there[500 : 500 + ahead + 3].any()
-    assert there[500 + ahead + 4 :].all()  # without the tenth of a second that a new flight would take
-    assert np.std((x_hat - s.x)[there]) < 5.0 * NOISY.sigma_x_m
+    assert is_predicted[begins + 1 : 500].all()
+    assert not is_predicted[500 : 500 + ahead + 3].any()
+    assert is_predicted[500 + ahead + 4 :].all()  # without the tenth of a second that a new flight would take
+    assert np.std((x_hat - s.x)[is_predicted]) < 5.0 * NOISY.sigma_x_m
 
 
 def test_predict_speaks_of_the_samples_that_there_are() -> None:
@@ -215,11 +215,11 @@ def test_predict_speaks_of_the_samples_that_there_are() -> None:
     record = lab.record("flight", "closed-loop", 2000)
     shorter = less(record, drawn(record, 0.02, 1))
 
-    whole, found = (predict(true_model(), one, 5) for one in (record, shorter))
+    whole, shortened = (predict(true_model(), recording, 5) for recording in (record, shorter))
 
-    assert np.isin(found.t, shorter.t).all()
-    assert len(found.x_hat) + sum(count for _, count in found.left_out) == len(shorter.t)
-    assert len(found.x_hat) > 0.6 * len(shorter.t)
+    assert np.isin(shortened.t, shorter.t).all()
+    assert len(shortened.x_hat) + sum(count for _, count in shortened.left_out) == len(shorter.t)
+    assert len(shortened.x_hat) > 0.6 * len(shorter.t)
     assert whole.rmse_m is not None
-    assert found.rmse_m is not None
-    assert found.rmse_m < 1.2 * whole.rmse_m
+    assert shortened.rmse_m is not None
+    assert shortened.rmse_m < 1.2 * whole.rmse_m

@@ -61,7 +61,7 @@ def test_latex_has_each_value_with_its_interval(law: controller.Controller) -> N
 def test_latex_compiles_with_every_cause(model: Model, law: controller.Controller, tmp_path: Path) -> None:
     (tmp_path / "model.tex").write_text(text_of(model, law, "latex"))
 
-    done = subprocess.run(
+    process = subprocess.run(
         ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "model.tex"],
         cwd=tmp_path,
         capture_output=True,
@@ -70,7 +70,7 @@ def test_latex_compiles_with_every_cause(model: Model, law: controller.Controlle
         errors="replace",
     )
 
-    assert done.returncode == 0, done.stdout[-2000:]
+    assert process.returncode == 0, process.stdout[-2000:]
     assert (tmp_path / "model.pdf").stat().st_size > 10_000
 
 

@@ -34,7 +34,7 @@ def test_an_fmu_has_description_and_sources(tmp_path: Path, capsys: pytest.Captu
             *(f"sources/{name}" for name in ("fmi2.c", "model.c", "model.h", "slave.c", "slave.h")),
         ]
         root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-    K_A = next(one for one in root.iter("ScalarVariable") if one.get("name") == "K_A")
+    K_A = next(variable for variable in root.iter("ScalarVariable") if variable.get("name") == "K_A")
     real = K_A.find("Real")
     assert real is not None
     assert (real.get("unit"), real.get("start"), real.get("min")) == ("A/V", "0.297", "0.001")
@@ -69,7 +69,7 @@ def test_the_law_of_a_controller_file(tmp_path: Path) -> None:
 
     with zipfile.ZipFile(out) as archive:
         root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-    starts = {one.get("name"): one[0].get("start") for one in root.iter("ScalarVariable")}
+    starts = {variable.get("name"): variable[0].get("start") for variable in root.iter("ScalarVariable")}
     assert starts["law.x_0"] == "0.002"
     assert [float(starts[f"law.{name}"] or "nan") for name in ("k_i", "k_x", "k_v", "k_s")] == [*gains[:3], -gains[3]]
 

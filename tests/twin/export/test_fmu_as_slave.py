@@ -94,7 +94,7 @@ def test_a_wrong_value_is_refused_and_named(name: str, value: float, says: str, 
         with pytest.raises(FMICallException):
             rig.set(name, value)
 
-        assert says in rig.said[0]
+        assert says in rig.log[0]
 
 
 def test_a_value_beyond_all_numbers_is_told(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_value_beyond_all_numbers_is_told(tmp_path: Path) -> None:
         with pytest.raises(FMICallException):
             rig.step(0.0, 1.0)
 
-        assert "is not a number any longer" in rig.said[0]
+        assert "is not a number any longer" in rig.log[0]
 
 
 def test_time_does_not_run_backwards(start: Start) -> None:

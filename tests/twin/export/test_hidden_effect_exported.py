@@ -39,7 +39,7 @@ def fmu_ahead(path: Path, model: Model, record: Record, rows: NDArray[np.intp]) 
     p, c = base(model), vector(model.causes)
     x_hat = np.empty(len(rows))
     with running(path) as rig:
-        for place, row in enumerate(rows):
+        for index, row in enumerate(rows):
             y = state[row - AHEAD]
             rig.restart(
                 {
@@ -52,7 +52,7 @@ def fmu_ahead(path: Path, model: Model, record: Record, rows: NDArray[np.intp]) 
             for k in range(AHEAD):
                 rig.set("u_c", float(samples.u[row - AHEAD + k]))
                 rig.step(k * record.interval_s, record.interval_s)
-            (x_hat[place],) = rig.get("y_x")
+            (x_hat[index],) = rig.get("y_x")
     return x_hat
 
 
@@ -71,14 +71,14 @@ def test_the_fmu_predicts_the_judge_recordings_as_predict_does(tmp_path: Path) -
     for record in read_campaign(Campaign.load(folder), use="judge"):
         if record.kind != "closed-loop":
             continue
-        told = predict(model, record, AHEAD)
-        rows = np.flatnonzero(np.isin(record.t, told.t))[::EVERY]
-        own = fmu_ahead(path, model, record, rows)
-        product = told.x_hat[::EVERY]
+        prediction = predict(model, record, AHEAD)
+        rows = np.flatnonzero(np.isin(record.t, prediction.t))[::EVERY]
+        exported = fmu_ahead(path, model, record, rows)
+        product = prediction.x_hat[::EVERY]
         measured = record.x[rows]
         compared += len(rows)
 
-        errors = [float(np.sqrt(np.mean((x_hat - measured) ** 2))) for x_hat in (own, product)]
+        errors = [float(np.sqrt(np.mean((x_hat - measured) ** 2))) for x_hat in (exported, product)]
         assert errors[0] == pytest.approx(errors[1], rel=0.01)
 
     assert compared > 200

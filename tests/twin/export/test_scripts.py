@@ -105,7 +105,7 @@ def test_the_python_figure_needs_no_product(tmp_path: Path) -> None:
         "import figure_11; print(*figure_11.gains()); print(figure_11.figure_11(0.0)[2][-1, 1])"
     )
 
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-P", "-c", f"import sys; sys.path.insert(0, '.')\n{script}"],
         cwd=tmp_path / "rig",
         capture_output=True,
@@ -113,7 +113,7 @@ def test_the_python_figure_needs_no_product(tmp_path: Path) -> None:
         check=True,
     )
 
-    gains, x = done.stdout.splitlines()
+    gains, x = process.stdout.splitlines()
     assert [float(k) for k in gains.split()] == pytest.approx(designed(model).gains, rel=1e-9)
     assert float(x) == pytest.approx(2.85e-3 - 0.57e-3, rel=1e-3)
 
@@ -121,17 +121,17 @@ def test_the_python_figure_needs_no_product(tmp_path: Path) -> None:
 octave = pytest.mark.skipif(shutil.which("octave") is None, reason="no octave is installed: apt-get install octave")
 
 
-def ask_octave(folder: Path, script: str) -> FloatArray:
+def run_octave(folder: Path, script: str) -> FloatArray:
     """What a script prints, as numbers."""
-    done = subprocess.run(
+    process = subprocess.run(
         ["octave", "--no-gui", "--no-init-file", "--quiet", "--eval", f"format long; {script}"],
         cwd=folder,
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
-    return np.array([float(word) for word in done.stdout.split()])
+    assert process.returncode == 0, process.stderr
+    return np.array([float(word) for word in process.stdout.split()])
 
 
 @octave
@@ -146,7 +146,7 @@ def test_octave_flies_as_the_twin(name: str, closed_loop: bool, tmp_path: Path) 
     np.savetxt(tmp_path / "rig" / "drive.txt", drive, fmt="%.17g")
     expected = shifted(twin_flight(model, law, drive, closed_loop=closed_loop))
 
-    printed = ask_octave(
+    printed = run_octave(
         tmp_path / "rig",
         "m = rig_parameters(); d = load('drive.txt'); M = rig_begin(m, m.i_0, m.x_0, 0, m.u_0);"
         f"for k = 1:numel(d), [M, i, x, v, u] = rig_tick(m, M, {str(closed_loop).lower()}, d(k), d(k));"
@@ -163,7 +163,7 @@ def test_octave_has_equation_gains_and_figure(tmp_path: Path) -> None:
     exported(model, "matlab", tmp_path / "rig")
     state = 0.5, 2e-3, 0.03, 1.7
 
-    printed = ask_octave(
+    printed = run_octave(
         tmp_path / "rig",
         "m = rig_parameters(); s = rig_linear();"
         "printf('%.17g ', rig_ode(0, [0.5; 2e-3; 0.03], 1.7, m));"

@@ -79,10 +79,10 @@ def test_without_a_law_there_is_no_loop_gain_and_the_notes_say_why(
 ) -> None:
     assert run(folder(tmp_path, Loop(), law=False), "--json") == 0
 
-    shown = capsys.readouterr()
-    (height,) = json.loads(shown.out)["heights"]
+    captured = capsys.readouterr()
+    (height,) = json.loads(captured.out)["heights"]
     assert set(height["measured"]) == {"amplifier", "ball", "plant"}
-    assert "no loop gain, because the campaign has no [controller]" in shown.err
+    assert "no loop gain, because the campaign has no [controller]" in captured.err
 
 
 def test_another_rig_and_a_campaign_without_excitation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

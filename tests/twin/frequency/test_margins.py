@@ -14,13 +14,13 @@ def test_margins_are_those_of_python_control() -> None:
     plant = control.tf([8.0, 76.0, 120.0], [1.0, 0.0, -20.0, 0.0]) * control.tf(*control.pade(0.01, 3))
     f_hz = np.geomspace(0.05, 30.0, 60)
 
-    found = margins_of(f_hz, np.asarray(plant(2j * np.pi * f_hz)))
+    margins = margins_of(f_hz, np.asarray(plant(2j * np.pi * f_hz)))
 
     gains, phases, sensitivities, *_ = control.stability_margins(plant, returnall=True)
-    assert found.gain_low == pytest.approx(max(g for g in gains if 0.0 < g < 1.0), rel=0.02)
-    assert found.gain_high == pytest.approx(min(g for g in gains if g > 1.0), rel=0.02)
-    assert found.phase_deg == pytest.approx(min(abs(p) for p in phases), abs=0.5)
-    assert found.modulus == pytest.approx(min(sensitivities), rel=0.02)
+    assert margins.gain_low == pytest.approx(max(g for g in gains if 0.0 < g < 1.0), rel=0.02)
+    assert margins.gain_high == pytest.approx(min(g for g in gains if g > 1.0), rel=0.02)
+    assert margins.phase_deg == pytest.approx(min(abs(p) for p in phases), abs=0.5)
+    assert margins.modulus == pytest.approx(min(sensitivities), rel=0.02)
 
 
 def test_a_margin_outside_the_frequencies_is_none_and_has_no_interval() -> None:

@@ -33,15 +33,15 @@ TESTED: tuple[Name, ...] = ("amplifier", "ball", "plant", "loop")
 def flown(reference: str, loop: Loop, flights: int = FLIGHTS) -> list[Spectra]:
     r, period = REFERENCES[reference]()
     part = Part(samples=slice(0, len(r)), period=period)
-    several = [spectra(one, part, TICK_S) for one in loop.fly(r, flights=flights, seed=7)]
-    return [one for one in several if one is not None]
+    several = [spectra(flight, part, TICK_S) for flight in loop.fly(r, flights=flights, seed=7)]
+    return [flight for flight in several if flight is not None]
 
 
 @cache
 def quiet(reference: str, loop: Loop) -> Spectra:
     r, period = REFERENCES[reference]()
-    (one,) = loop_without_noise(loop).fly(r, flights=1, seed=0)
-    made = spectra(one, Part(samples=slice(0, len(r)), period=period), TICK_S)
+    (flight,) = loop_without_noise(loop).fly(r, flights=1, seed=0)
+    made = spectra(flight, Part(samples=slice(0, len(r)), period=period), TICK_S)
     assert made is not None
     return made
 
@@ -60,7 +60,7 @@ RIG = Loop(noise=NOISE)
 
 
 def true_responses(loop: Loop, bins_hz: Array) -> dict[Name, ComplexArray]:
-    i, x = (one.reshape(bins_hz.shape) for one in loop.response(bins_hz.ravel()))
+    i, x = (response.reshape(bins_hz.shape) for response in loop.response(bins_hz.ravel()))
     loop_gain = LAW.k_i * i + position_law(LAW, bins_hz) * x
     return {"amplifier": i, "ball": x / i, "plant": x, "loop": loop_gain}
 
@@ -98,8 +98,8 @@ def test_bands_hold_the_truth_as_often_as_they_say(reference: str) -> None:
         shape = h / h[len(h) // 2]
         estimate = s.on_r(s.x) / s.on_r(shape * s.u)
         radius2 = s.variance(s.x - estimate * shape * s.u) / np.abs(s.on_r(shape * s.u)) ** 2
-        inside = np.abs(estimate - h[len(h) // 2]) ** 2 < f_distribution.ppf(0.95, 2, 2 * s.dof) * radius2
-        held, total = held + int(inside[1:-1].sum()), total + len(inside[1:-1])
+        in_band = np.abs(estimate - h[len(h) // 2]) ** 2 < f_distribution.ppf(0.95, 2, 2 * s.dof) * radius2
+        held, total = held + int(in_band[1:-1].sum()), total + len(in_band[1:-1])
 
     assert 0.93 < held / total < 0.97
 
@@ -121,7 +121,7 @@ def test_uncertain_parameters_are_no_contradiction_and_certain_ones_are() -> Non
     rng = np.random.default_rng(3)
     r, period = REFERENCES["fast multisine"]()
     part, spread = Part(samples=slice(0, len(r)), period=period), 0.02
-    told, certain, flights = [], [], 40
+    uncertain, certain, flights = [], [], 40
     for n in range(flights):
         K_A, K_c = (value * (1.0 + spread * rng.normal()) for value in (RIG.K_A, RIG.K_c))
         rig = replace(RIG, K_A=K_A, K_c=K_c)
@@ -129,17 +129,17 @@ def test_uncertain_parameters_are_no_contradiction_and_certain_ones_are() -> Non
         assert s is not None
         h = true_responses(RIG, s.bins_hz)["plant"][len(s.r) // 2]
         ends = [replace(RIG, K_A=RIG.K_A * (1 + spread)), replace(RIG, K_c=RIG.K_c * (1 + spread))]
-        slopes = np.column_stack([true_responses(one, s.bins_hz)["plant"][len(s.r) // 2] - h for one in ends])
+        slopes = np.column_stack([true_responses(end, s.bins_hz)["plant"][len(s.r) // 2] - h for end in ends])
         q = quiet("fast multisine", RIG)
-        told.append(chances(compared(s, q, RIG, "plant", slopes))[1])
+        uncertain.append(chances(compared(s, q, RIG, "plant", slopes))[1])
         certain.append(chances(compared(s, q, RIG, "plant"))[1])
 
-    assert as_stated(int((np.array(told) < 0.05).sum()), flights, 0.05)
+    assert as_stated(int((np.array(uncertain) < 0.05).sum()), flights, 0.05)
     assert np.mean(np.array(certain) < 0.05) > 0.2
 
 
 @pytest.mark.parametrize(
-    ("hidden", "seen_in", "not_in"),
+    ("hidden", "visible_in", "not_in"),
     [
         ({"delay_s": 1.2e-3}, "plant", "amplifier"),  # i_c has settled before the next sample, x is late
         ({"K_A": 0.297 * 1.05}, "amplifier", "ball"),
@@ -147,14 +147,14 @@ def test_uncertain_parameters_are_no_contradiction_and_certain_ones_are() -> Non
         ({"K_c": 5.607e-6 * 1.08}, "ball", "amplifier"),
     ],
 )
-def test_what_is_hidden_shows_in_its_own_response(hidden: dict[str, float], seen_in: Name, not_in: Name) -> None:
+def test_what_is_hidden_shows_in_its_own_response(hidden: dict[str, float], visible_in: Name, not_in: Name) -> None:
     reference = "fast multisine" if "delay_s" in hidden else "slow multisine"
     q = quiet(reference, RIG)
     several = flown(reference, Loop(noise=NOISE, **hidden), flights=20)
-    seen = [chances(compared(s, q, RIG, seen_in))[1] for s in several]
+    visible = [chances(compared(s, q, RIG, visible_in))[1] for s in several]
     unseen = [chances(compared(s, q, RIG, not_in))[1] for s in several]
 
-    assert np.mean(np.array(seen) < 1e-3) > 0.9
+    assert np.mean(np.array(visible) < 1e-3) > 0.9
     assert np.mean(np.array(unseen) < 1e-3) < 0.1
 
 
@@ -168,5 +168,5 @@ def test_too_short_a_part_has_no_spectra() -> None:
     r = multisine(1200, period=500, amplitude=2e-4)
     signals = RIG.fly(r, flights=1, seed=0)[0]
     assert spectra(signals, Part(samples=slice(0, 1200), period=500), TICK_S) is None
-    still = np.zeros((4, 5000))
-    assert spectra(still, Part(samples=slice(0, 5000), period=0), TICK_S) is None
+    constant = np.zeros((4, 5000))
+    assert spectra(constant, Part(samples=slice(0, 5000), period=0), TICK_S) is None

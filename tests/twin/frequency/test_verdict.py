@@ -59,8 +59,8 @@ def test_what_is_hidden_is_named_with_its_size(
         assert answer.explains is False
         assert words in answer.sentence
         assert response in answer.sentence
-        test = next(one for one in answer.tests if one.failed and one.name in response)
-        form = next(one for one in test.forms if one.kind == kind)
+        test = next(candidate for candidate in answer.tests if candidate.failed and candidate.name in response)
+        form = next(candidate for candidate in test.forms if candidate.kind == kind)
         wide = form.high - form.low
         assert form.low - wide < size < form.high + wide
         assert form.text.split(" (")[0] in answer.sentence

@@ -24,8 +24,8 @@ def test_the_smallest_campaign_of_the_page_is_identified_and_predicted(
     (tmp_path / "campaign.toml").write_text(block[1], encoding="utf-8")
     rig = Ball(m=0.0084, travel=6.0e-3, x_max=8.4e-3)
     for n, name in enumerate(("monday", "tuesday")):
-        one = rig.closed_loop(wandering(n, 2500), 2500, seed=n)
-        rows = np.column_stack((one.t * 1e3, one.u_c / 12.0, one.i_c * 1e3, (rig.travel - one.x) * 1e3))
+        flight = rig.closed_loop(wandering(n, 2500), 2500, seed=n)
+        rows = np.column_stack((flight.t * 1e3, flight.u_c / 12.0, flight.i_c * 1e3, (rig.travel - flight.x) * 1e3))
         header = "time_ms,duty,current_mA,gap_mm"
         np.savetxt(tmp_path / f"{name}.csv", rows, fmt="%.9g", delimiter=",", header=header, comments="")
     model, ahead = tmp_path / "model.json", tmp_path / "ahead.csv"

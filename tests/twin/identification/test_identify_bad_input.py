@@ -70,19 +70,19 @@ def test_a_wrong_channel_is_recognised_with_its_remedy(name: str, records: list[
 
 
 def test_right_recordings_raise_nothing_and_warn_of_nothing(records: list[Record], campaign: Campaign) -> None:
-    found = identify_records(campaign, records)
+    result = identify_records(campaign, records)
 
-    assert found.usable
-    assert not found.warnings
+    assert result.usable
+    assert not result.warnings
 
 
 def test_a_plant_that_nobody_stated_is_marked_at_what_rests_on_it(records: list[Record], campaign: Campaign) -> None:
-    found = identify_records(replace(campaign, plant=replace(campaign.plant, assumed=True)), records)
+    result = identify_records(replace(campaign, plant=replace(campaign.plant, assumed=True)), records)
 
-    marked = [name for name, one in found.model.parameters.items() if "for an assumed ball of" in one.method]
+    marked = [name for name, entry in result.model.parameters.items() if "for an assumed ball of" in entry.method]
     assert marked == ["K_c", "b"]
-    assert found.model.plant.assumed
-    assert "! K_c and b are for an assumed ball of" in table(found)
+    assert result.model.plant.assumed
+    assert "! K_c and b are for an assumed ball of" in table(result)
 
 
 def test_a_sawtooth_measured_downwards_is_recognised(records: list[Record], campaign: Campaign) -> None:
@@ -91,33 +91,33 @@ def test_a_sawtooth_measured_downwards_is_recognised(records: list[Record], camp
 
 
 def test_a_missing_experiment_names_the_one_that_would_help(records: list[Record], campaign: Campaign) -> None:
-    found = identify_records(campaign, records[:1])
+    result = identify_records(campaign, records[:1])
 
-    assert not found.usable
-    assert found.model.parameters["K_A"].verdict == "identified"
+    assert not result.usable
+    assert result.model.parameters["K_A"].verdict == "identified"
     for name, help_ in (("K_c", "sawtooth"), ("b", "closed loop")):
-        assert found.model.parameters[name].verdict == "not-identifiable"
-        assert any(name in warning and help_ in warning for warning in found.warnings)
+        assert result.model.parameters[name].verdict == "not-identifiable"
+        assert any(name in warning and help_ in warning for warning in result.warnings)
 
 
 def test_a_ball_that_never_moves_is_said(records: list[Record], campaign: Campaign) -> None:
     rest = records[2].x * 0.0 + np.random.default_rng(1).normal(0.0, 5e-6, len(records[2].x))
 
-    found = identify_records(campaign, [replace(records[2], x=rest)])
+    result = identify_records(campaign, [replace(records[2], x=rest)])
 
-    assert any("never leaves its stops" in warning for warning in found.warnings)
-    assert found.model.parameters["K_c"].verdict == "not-identifiable"
-    assert not found.usable
+    assert any("never leaves its stops" in warning for warning in result.warnings)
+    assert result.model.parameters["K_c"].verdict == "not-identifiable"
+    assert not result.usable
 
 
 def test_constant_channels_are_said(records: list[Record], campaign: Campaign) -> None:
     flight = records[2]
     n = len(flight.t)
 
-    found = identify_records(campaign, [replace(flight, u_c=np.full(n, 2.0), i_c=np.full(n, 0.5), x=np.full(n, 3e-3))])
+    result = identify_records(campaign, [replace(flight, u_c=np.full(n, 2.0), i_c=np.full(n, 0.5), x=np.full(n, 3e-3))])
 
-    assert not found.usable
-    assert {w.split(": ")[1].split(" ")[0] for w in found.warnings if "throughout" in w} == {"u_c", "i_c", "x"}
+    assert not result.usable
+    assert {w.split(": ")[1].split(" ")[0] for w in result.warnings if "throughout" in w} == {"u_c", "i_c", "x"}
 
 
 def test_a_controller_section_that_contradicts_the_recording_is_said(records: list[Record]) -> None:
@@ -127,10 +127,10 @@ def test_a_controller_section_that_contradicts_the_recording_is_said(records: li
     )
     campaign = campaign_of(RIG, text)
 
-    found = identify_records(campaign, records)
+    result = identify_records(campaign, records)
 
-    assert any("[controller]" in warning and "gains of about" in warning for warning in found.warnings)
-    assert found.usable
+    assert any("[controller]" in warning and "gains of about" in warning for warning in result.warnings)
+    assert result.usable
 
 
 def test_noise_in_place_of_data_gives_a_statement_and_no_traceback(campaign: Campaign) -> None:
@@ -147,10 +147,10 @@ def test_noise_in_place_of_data_gives_a_statement_and_no_traceback(campaign: Cam
         x_ref=np.full(n, 3e-3),
     )
 
-    found = identify_records(campaign, [junk])
+    result = identify_records(campaign, [junk])
 
-    assert not found.usable
-    assert found.warnings
+    assert not result.usable
+    assert result.warnings
 
 
 def test_an_empty_campaign_is_refused() -> None:
@@ -186,10 +186,10 @@ def test_a_constant_channel_does_not_move_the_others(records: list[Record], camp
         replace(records[2], i_c=np.full(n, 0.6)),
         replace(records[2], u_c=np.full(n, 2.0)),
     ):
-        found = identify_records(campaign, [*records[:2], dead, *records[3:]])
+        result = identify_records(campaign, [*records[:2], dead, *records[3:]])
 
-        assert any("a constant channel has no information" in warning for warning in found.warnings)
-        for name, parameter in found.model.parameters.items():
+        assert any("a constant channel has no information" in warning for warning in result.warnings)
+        for name, parameter in result.model.parameters.items():
             other = whole.model.parameters[name]
             assert other.std is not None
             # The same recordings, but for the good channels of the dead one.
@@ -200,11 +200,11 @@ def test_a_constant_channel_does_not_move_the_others(records: list[Record], camp
 def test_a_ball_that_is_held_off_its_stops_is_not_fitted(records: list[Record], campaign: Campaign) -> None:
     held = replace(records[2], x=3e-3 + np.random.default_rng(1).normal(0.0, 5e-6, len(records[2].x)))
 
-    found = identify_records(campaign, [records[0], held])
+    result = identify_records(campaign, [records[0], held])
 
-    assert any("x is only noise" in warning for warning in found.warnings)
-    assert found.model.parameters["K_c"].verdict == "not-identifiable"
-    assert not found.usable
+    assert any("x is only noise" in warning for warning in result.warnings)
+    assert result.model.parameters["K_c"].verdict == "not-identifiable"
+    assert not result.usable
 
 
 def test_a_ball_at_rest_under_control_is_used(campaign: Campaign) -> None:
@@ -213,10 +213,10 @@ def test_a_ball_at_rest_under_control_is_used(campaign: Campaign) -> None:
     lab.run(200)
     hover = lab.record("hover", "closed-loop", 3000)
 
-    found = identify_records(campaign, [hover])
+    result = identify_records(campaign, [hover])
 
-    assert not any("noise alone" in warning for warning in found.warnings)
-    K_c = found.model.parameters["K_c"]
+    assert not any("noise alone" in warning for warning in result.warnings)
+    K_c = result.model.parameters["K_c"]
     assert K_c.std is not None
     assert abs(K_c.value - RIG.force_constant_n_m2_a2) < 4.0 * K_c.std
 
@@ -241,9 +241,9 @@ def test_a_single_wrong_gain_is_seen(gain: str, share: int) -> None:
         "operating_point = { i_c_a = 0.6, x_m = 2.85e-3, u_c_v = 2.1 }\n"
     )
 
-    found = identify_records(campaign_of(rig, text), [flight])
+    result = identify_records(campaign_of(rig, text), [flight])
 
-    assert sum("[controller]" in warning for warning in found.warnings) == share
+    assert sum("[controller]" in warning for warning in result.warnings) == share
 
 
 def test_a_travel_beyond_x_max_is_refused(records: list[Record], campaign: Campaign) -> None:
@@ -256,10 +256,10 @@ def test_a_travel_beyond_x_max_is_refused(records: list[Record], campaign: Campa
 def test_lift_off_and_flight_that_disagree_leave_no_identified_force_constant(records: list[Record]) -> None:
     campaign = campaign_of(replace(RIG, coil_plane_above_stop_m=1e-4))
 
-    found = identify_records(campaign, records)
+    result = identify_records(campaign, records)
 
-    assert found.model.parameters["K_c"].verdict == "weak"
-    assert any("no single K_c explains both" in warning for warning in found.warnings)
+    assert result.model.parameters["K_c"].verdict == "weak"
+    assert any("no single K_c explains both" in warning for warning in result.warnings)
 
 
 def test_a_sampling_time_that_varies_is_said_and_used(records: list[Record], campaign: Campaign) -> None:
@@ -267,10 +267,10 @@ def test_a_sampling_time_that_varies_is_said_and_used(records: list[Record], cam
     rng = np.random.default_rng(2)
     jittered = replace(records[2], t=records[2].t + rng.uniform(-5e-5, 5e-5, len(records[2].t)))
 
-    found = identify_records(campaign, [*records[:2], jittered])
+    result = identify_records(campaign, [*records[:2], jittered])
 
-    assert any("the sampling interval varies" in warning for warning in found.warnings)
-    K_c = found.model.parameters["K_c"]
+    assert any("the sampling interval varies" in warning for warning in result.warnings)
+    K_c = result.model.parameters["K_c"]
     assert abs(K_c.value / RIG.force_constant_n_m2_a2 - 1.0) < 2e-3
 
 
@@ -298,22 +298,22 @@ def amplifier_step(second_order_s: float = 0.0, digits: int = 17) -> Record:
 
 @pytest.mark.parametrize("digits", [17, 3])
 def test_a_current_without_noise_is_identified_no_surer_than_it_is_resolved(campaign: Campaign, digits: int) -> None:
-    found = identify_records(campaign, [amplifier_step(digits=digits)])
+    result = identify_records(campaign, [amplifier_step(digits=digits)])
 
-    assert not any("not first order" in warning for warning in found.warnings)
+    assert not any("not first order" in warning for warning in result.warnings)
     for name, truth in (("K_A", 0.297), ("T_A", 0.02)):
-        parameter = found.model.parameters[name]
+        parameter = result.model.parameters[name]
         assert parameter.std is not None
         assert parameter.std >= (1.0 - 1e-9) * 1e-6 * parameter.value  # but for rounding
         assert parameter.value == pytest.approx(truth, abs=5.0 * parameter.std)
 
 
 def test_a_misfit_is_told_in_amperes_where_there_is_no_noise_to_compare_it_with(campaign: Campaign) -> None:
-    found = identify_records(campaign, [amplifier_step(second_order_s=5e-3)])
+    result = identify_records(campaign, [amplifier_step(second_order_s=5e-3)])
 
-    (said,) = [warning for warning in found.warnings if "not first order" in warning]
-    assert "mA rms, far beyond the" in said
-    assert not any(len(word.strip("()x.")) > 6 for word in said.split() if word[0].isdigit())
-    T_A = found.model.parameters["T_A"]
+    (message,) = [warning for warning in result.warnings if "not first order" in warning]
+    assert "mA rms, far beyond the" in message
+    assert not any(len(word.strip("()x.")) > 6 for word in message.split() if word[0].isdigit())
+    T_A = result.model.parameters["T_A"]
     assert T_A.std is not None
     assert T_A.std > 1e-3 * T_A.value, "an answer of another shape has no time constant to five digits"

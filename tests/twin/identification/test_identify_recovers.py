@@ -31,10 +31,10 @@ def steps() -> Record:
     return BALL.driven(lambda k: levels[k // 100 % 5], 1000, seed=3, kind="amplifier-step", name="steps")
 
 
-def check(found: Identification, true: dict[str, float], names: tuple[str, ...] = TRUTHS, z: float = 4.0) -> None:
+def check(result: Identification, true: dict[str, float], names: tuple[str, ...] = TRUTHS, z: float = 4.0) -> None:
     """Every estimate within `z` of its own standard errors."""
     for name in names:
-        parameter = found.model.parameters[name]
+        parameter = result.model.parameters[name]
         assert parameter.std is not None, name
         assert abs(parameter.value - true[name]) < z * parameter.std, (name, parameter, true[name])
 
@@ -44,44 +44,44 @@ def truth_of(ball: Ball) -> dict[str, float]:
 
 
 def test_a_plant_of_the_tests_own_comes_back(flight: Record, steps: Record) -> None:
-    found = identify_records(BALL.campaign, [steps, flight])
+    result = identify_records(BALL.campaign, [steps, flight])
 
-    check(found, truth_of(BALL))
-    assert found.usable
-    assert found.whiteness is not None
-    assert found.whiteness.white
-    assert {n: p.verdict for n, p in found.model.parameters.items()} == dict.fromkeys(TRUTHS, "identified")
-    assert found.model.noise.sigma_x_m == pytest.approx(BALL.sigma_x, rel=0.05)
-    assert found.model.noise.sigma_i_c_a == pytest.approx(BALL.sigma_i, rel=0.05)
+    check(result, truth_of(BALL))
+    assert result.usable
+    assert result.whiteness is not None
+    assert result.whiteness.white
+    assert {n: p.verdict for n, p in result.model.parameters.items()} == dict.fromkeys(TRUTHS, "identified")
+    assert result.model.noise.sigma_x_m == pytest.approx(BALL.sigma_x, rel=0.05)
+    assert result.model.noise.sigma_i_c_a == pytest.approx(BALL.sigma_i, rel=0.05)
 
 
 def test_an_emulated_campaign_comes_back() -> None:
     rig = random_rig(np.random.default_rng(20))
 
-    found = identify_records(campaign_of(rig), run_campaign(rig, seed=20))
+    result = identify_records(campaign_of(rig), run_campaign(rig, seed=20))
 
-    check(found, truth(rig))
-    assert found.usable
-    assert found.shape is not None
-    assert found.shape.first_order
+    check(result, truth(rig))
+    assert result.usable
+    assert result.shape is not None
+    assert result.shape.first_order
 
 
 def test_a_ball_that_bounces_between_the_stops_needs_no_cutting() -> None:
     rig = random_rig(np.random.default_rng(5))
     lab = Lab(rig, seed=5)
-    lab.ask("SET_MODE", mode=int(Mode.OPEN_LOOP))
+    lab.request("SET_MODE", mode=int(Mode.OPEN_LOOP))
     lift = INPUT.to_count(rig.equilibrium_input_v(0.2e-3))
     lab.excite(
         Shape.PRBS, on_reference=False, amplitude=round(0.55 * lift), offset=round(0.65 * lift), period=15, seed=9
     )
     record = lab.record("bounces", "prbs", 8000)
 
-    found = identify_records(campaign_of(rig), [record])
+    result = identify_records(campaign_of(rig), [record])
 
-    (usage,) = found.usages
+    (usage,) = result.usages
     assert usage.flights > 50
     assert usage.contact_samples > 1000
-    check(found, truth(rig), ("K_A", "K_c", "b"), z=5.0)
+    check(result, truth(rig), ("K_A", "K_c", "b"), z=5.0)
 
 
 def test_damage_is_reported_and_does_no_harm(flight: Record) -> None:
@@ -96,14 +96,14 @@ def test_damage_is_reported_and_does_no_harm(flight: Record) -> None:
         flight, t=flight.t[keep], x=x[keep], i_c=i[keep], u_c=u[keep], x_ref=flight.x_ref[keep], name="damaged"
     )
 
-    found = identify_records(BALL.campaign, [damaged])
+    result = identify_records(BALL.campaign, [damaged])
 
-    (usage,) = found.usages
+    (usage,) = result.usages
     assert usage.gaps >= 25
     assert 15 <= usage.outliers <= 25
-    assert any("outlying readings" in warning for warning in found.warnings)
-    assert any("gaps" in warning for warning in found.warnings)
-    check(found, truth_of(BALL))
+    assert any("outlying readings" in warning for warning in result.warnings)
+    assert any("gaps" in warning for warning in result.warnings)
+    check(result, truth_of(BALL))
 
 
 def test_a_sampling_time_that_varies_by_a_third_is_no_obstacle() -> None:
@@ -115,32 +115,32 @@ def test_a_sampling_time_that_varies_by_a_third_is_no_obstacle() -> None:
 def test_no_drag_is_said_to_be_none() -> None:
     ball = Ball(b=0.0)
 
-    found = identify_records(ball.campaign, [ball.closed_loop(wandering(6, TICKS), TICKS, seed=7)])
+    result = identify_records(ball.campaign, [ball.closed_loop(wandering(6, TICKS), TICKS, seed=7)])
 
-    b = found.model.parameters["b"]
+    b = result.model.parameters["b"]
     assert b.ci95 is not None
     assert b.ci95[0] < 2e-3
     assert b.verdict != "identified"
-    assert any(warning.startswith("b is") for warning in found.warnings)
+    assert any(warning.startswith("b is") for warning in result.warnings)
 
 
 def test_an_input_logged_one_sample_early_is_recognised(flight: Record) -> None:
     early = replace(flight, u_c=np.append(flight.u_c[1:], flight.u_c[-1]))
 
-    found = identify_records(BALL.campaign, [early])
+    result = identify_records(BALL.campaign, [early])
 
-    assert found.usages[0].input_delay == 1
-    assert any("later than recorded" in warning for warning in found.warnings)
-    check(found, truth_of(BALL))
+    assert result.usages[0].input_delay == 1
+    assert any("later than recorded" in warning for warning in result.warnings)
+    check(result, truth_of(BALL))
 
 
 def test_lift_off_alone_gives_the_force_constant_by_equation_8() -> None:
     top = 1.1 * BALL.current(0.0) / BALL.K_A
     ramp = BALL.driven(lambda k: top * (k % 1500) / 1500, 4500, seed=11, kind="sawtooth", name="sawtooth")
 
-    found = identify_records(BALL.campaign, [ramp])
+    result = identify_records(BALL.campaign, [ramp])
 
-    K_c, b = found.model.parameters["K_c"], found.model.parameters["b"]
+    K_c, b = result.model.parameters["K_c"], result.model.parameters["b"]
     assert K_c.equation == "(8)"
     assert K_c.value == pytest.approx(BALL.K_c, rel=0.01)
     assert K_c.ci95 is not None
@@ -152,12 +152,12 @@ def test_a_response_that_is_not_first_order_is_said_and_k_a_stays_right() -> Non
     rig = random_rig(np.random.default_rng(12))
     records = run_campaign(rig, seed=12, flight_s=4.0, effects={"slew-rate-limit": 100.0})
 
-    found = identify_records(campaign_of(rig), records[:1])
+    result = identify_records(campaign_of(rig), records[:1])
 
-    assert found.shape is not None
-    assert not found.shape.first_order
-    assert any("not first order" in warning for warning in found.warnings)
-    K_A = found.model.parameters["K_A"]
+    assert result.shape is not None
+    assert not result.shape.first_order
+    assert any("not first order" in warning for warning in result.warnings)
+    K_A = result.model.parameters["K_A"]
     assert "steady levels" in K_A.method
     assert K_A.value == pytest.approx(rig.amplifier_gain_a_v, rel=2e-3)
 
@@ -167,22 +167,22 @@ def test_what_the_model_lacks_is_said_and_drag_is_not_called_identified() -> Non
     rig = random_rig(np.random.default_rng(14))
     records = run_campaign(rig, seed=14, flight_s=8.0, effects={"motional-emf": 0.5})
 
-    found = identify_records(campaign_of(rig), records)
+    result = identify_records(campaign_of(rig), records)
 
-    assert found.whiteness is not None
-    assert not found.whiteness.white
-    assert any("not white" in warning for warning in found.warnings)
-    assert found.model.parameters["b"].verdict != "identified"
+    assert result.whiteness is not None
+    assert not result.whiteness.white
+    assert any("not white" in warning for warning in result.warnings)
+    assert result.model.parameters["b"].verdict != "identified"
 
 
 def test_levels_off_a_line_widen_the_gain_and_are_said() -> None:
     rig = random_rig(np.random.default_rng(44))
     limited = run_campaign(rig, seed=44, flight_s=4.0, effects={"current-limit": 0.65})[:1]
 
-    found = identify_records(campaign_of(rig), limited)
+    result = identify_records(campaign_of(rig), limited)
 
-    K_A = found.model.parameters["K_A"]
-    assert any("do not lie on a line" in warning for warning in found.warnings)
+    K_A = result.model.parameters["K_A"]
+    assert any("do not lie on a line" in warning for warning in result.warnings)
     assert K_A.verdict != "identified"
     assert K_A.ci95 is not None
     assert K_A.ci95[0] < rig.amplifier_gain_a_v < K_A.ci95[1]
@@ -192,14 +192,14 @@ def test_levels_off_a_line_widen_the_gain_and_are_said() -> None:
 def test_an_amplifier_too_fast_to_be_seen_is_no_obstacle() -> None:
     rig = replace(random_rig(np.random.default_rng(7)), amplifier_time_constant_s=2e-5)
 
-    found = identify_records(campaign_of(rig), run_campaign(rig, seed=7, flight_s=8.0)[2:])
+    result = identify_records(campaign_of(rig), run_campaign(rig, seed=7, flight_s=8.0)[2:])
 
-    T_A = found.model.parameters["T_A"]
-    assert found.usable
+    T_A = result.model.parameters["T_A"]
+    assert result.usable
     assert T_A.verdict == "not-identifiable"
     assert T_A.ci95 is not None
     assert T_A.ci95[0] <= 2e-5 <= T_A.ci95[1] < 2e-4  # a tenth of the sampling interval is seen
-    assert abs(found.model.K_c / rig.force_constant_n_m2_a2 - 1.0) < 1e-3
+    assert abs(result.model.K_c / rig.force_constant_n_m2_a2 - 1.0) < 1e-3
 
 
 def test_gaps_are_counted_wherever_the_series_is_cut_into_blocks() -> None:

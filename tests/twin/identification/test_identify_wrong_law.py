@@ -37,7 +37,7 @@ def flights(seed: int) -> list[Record]:
     """The ball between the stops in open loop, then wide steps of the reference."""
     lab = Lab(CE152, seed=seed)
     lift = INPUT.to_count(CE152.equilibrium_input_v(0.0))
-    lab.ask("SET_MODE", mode=int(Mode.OPEN_LOOP))
+    lab.request("SET_MODE", mode=int(Mode.OPEN_LOOP))
     lab.excite(
         Shape.PRBS,
         on_reference=False,
@@ -47,7 +47,7 @@ def flights(seed: int) -> list[Record]:
         seed=seed + 1,
     )
     bounces = lab.record("bounces", "prbs", 1600)
-    lab.ask("SET_MODE", mode=int(Mode.IDLE))
+    lab.request("SET_MODE", mode=int(Mode.IDLE))
     lab.run(100)
     lab.fly()
     lab.run(200)
@@ -64,9 +64,9 @@ def identified(seed: int) -> tuple[list[Record], Identification]:
 
 @pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_the_error_of_the_law_is_not_called_noise_of_the_sensor(seed: int) -> None:
-    _, found = identified(seed)
+    _, result = identified(seed)
 
-    noise = found.model.noise
+    noise = result.model.noise
     # 3200 samples know a standard deviation to 1.3 %; what the law lacks may add to it, but not make it another size.
     assert noise.sigma_x_m == pytest.approx(CE152.position_noise_m, rel=0.3)
     assert noise.process_a_m_s2 > 1.0, "what the law lacks is acceleration"
@@ -91,29 +91,29 @@ def throws(levels_v: tuple[float, ...], seed: int) -> Record:
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_ball_that_turns_where_the_law_has_its_pole_does_not_outvote_the_flights(seed: int) -> None:
     flight = BALL.closed_loop(wandering(seed, 1600, middle=2.85e-3, span=0.8e-3), 1600, seed=seed + 10)
-    alone = identify_records(CAMPAIGN, [flight])
+    flight_result = identify_records(CAMPAIGN, [flight])
 
-    found = identify_records(CAMPAIGN, [throws((4.302, 4.303, 4.304), seed), flight])
+    result = identify_records(CAMPAIGN, [throws((4.302, 4.303, 4.304), seed), flight])
 
-    assert found.converged
-    assert alone.fit is not None
-    assert found.fit is not None
-    assert found.usages[0].steep_samples > 0
-    assert any("near to x_max" in warning for warning in found.warnings)
+    assert result.converged
+    assert flight_result.fit is not None
+    assert result.fit is not None
+    assert result.usages[0].steep_samples > 0
+    assert any("near to x_max" in warning for warning in result.warnings)
     # The throws cover other heights than the flight, where another K_c fits best: the current that holds the ball is
     # off by up to a fifth between them, but no more.
-    assert found.fit.theta.K_c == pytest.approx(alone.fit.theta.K_c, rel=0.2)
+    assert result.fit.theta.K_c == pytest.approx(flight_result.fit.theta.K_c, rel=0.2)
 
 
 def test_a_model_that_predicts_worse_than_none_is_said_to_and_its_ball_stays_between_the_stops() -> None:
-    records, found = identified(0)
+    records, result = identified(0)
 
-    assert found.ahead is not None
-    assert found.ahead.rmse_m > found.ahead.constant_m
-    assert any("it cannot be used for predictions" in warning for warning in found.warnings)
-    assert found.fit is not None
+    assert result.ahead is not None
+    assert result.ahead.rmse_m > result.ahead.constant_m
+    assert any("it cannot be used for predictions" in warning for warning in result.warnings)
+    assert result.fit is not None
 
-    far = error_at(0.1, records, CAMPAIGN.plant, found.fit.theta, found.tick_s)
+    far = error_at(0.1, records, CAMPAIGN.plant, result.fit.theta, result.tick_s)
 
     assert far is not None
     assert far.rmse_m < CE152.travel_m  # without stops a wrong force law sends it metres away

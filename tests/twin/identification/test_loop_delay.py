@@ -15,13 +15,13 @@ from twin import identify
 def test_beside_a_delay_b_has_no_interval_but_its_value_with_the_delay(seed: int, tmp_path: Path) -> None:
     make_campaign(tmp_path, effects={"actuation-delay": 2.6e-4}, seed=seed, plant="emulator", quick=True)
 
-    found = identify(tmp_path)
+    result = identify(tmp_path)
 
-    b = found.model.parameters["b"]
+    b = result.model.parameters["b"]
     assert (b.ci95, b.std, b.verdict) == (None, None, "not-identifiable")
-    (said,) = [line for line in found.warnings if "ms late" in line]
-    assert "acted about 0.26 ms late" in said
-    assert "board51 diagnose" in said
+    (warning,) = [line for line in result.warnings if "ms late" in line]
+    assert "acted about 0.26 ms late" in warning
+    assert "board51 diagnose" in warning
 
 
 @pytest.mark.slow
@@ -29,7 +29,7 @@ def test_beside_a_delay_b_has_no_interval_but_its_value_with_the_delay(seed: int
 def test_without_one_the_interval_stays(plant: PlantName, seed: int, tmp_path: Path) -> None:
     make_campaign(tmp_path, effects={}, seed=seed, plant=plant, quick=True)
 
-    found = identify(tmp_path)
+    result = identify(tmp_path)
 
-    assert found.model.parameters["b"].verdict == "identified"
-    assert not any("ms late" in line for line in found.warnings)
+    assert result.model.parameters["b"].verdict == "identified"
+    assert not any("ms late" in line for line in result.warnings)

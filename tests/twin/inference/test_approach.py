@@ -19,9 +19,9 @@ FREE = (*BASE, *coordinates_of(CAUSE))
 
 @pytest.fixture(scope="module")
 def criterion() -> Iterator[Criterion]:
-    one = criterion_of(narrow(strong(CAUSE, 0.01), seconds=50.0))
-    yield one
-    one.close()
+    instance = criterion_of(narrow(strong(CAUSE, 0.01), seconds=50.0))
+    yield instance
+    instance.close()
 
 
 @pytest.fixture(scope="module")
@@ -38,32 +38,32 @@ def test_a_part_is_a_fraction_of_the_samples_and_has_none_of_its_own(criterion: 
 
 
 def test_few_samples_are_all_taken() -> None:
-    few = criterion_of(narrow(THETA, seconds=2.0))
+    small = criterion_of(narrow(THETA, seconds=2.0))
 
-    assert few.thinner is few
-    assert few.share == 1.0
-    few.close()
+    assert small.thinner is small
+    assert small.share == 1.0
+    small.close()
 
 
 @pytest.mark.slow
 def test_the_way_over_a_part_ends_near_the_maximum_of_all(criterion: Criterion, base: Fit) -> None:
     start = strong(CAUSE, 0.001, base.theta)
 
-    near, end = approach(criterion, start, FREE), climb(criterion, start, FREE)
+    approached, end = approach(criterion, start, FREE), climb(criterion, start, FREE)
 
-    assert near.loglik == pytest.approx(criterion.value(near.theta), abs=3.0)  # of all samples
-    assert end.loglik - near.loglik < 3.0 * near.ahead  # as far as it says
-    assert end.loglik - near.loglik < 0.05 * (end.loglik - base.loglik)
-    assert climb(criterion, near.theta, FREE).loglik == pytest.approx(end.loglik, abs=0.1)
+    assert approached.loglik == pytest.approx(criterion.value(approached.theta), abs=3.0)  # of all samples
+    assert end.loglik - approached.loglik < 3.0 * approached.ahead  # as far as it says
+    assert end.loglik - approached.loglik < 0.05 * (end.loglik - base.loglik)
+    assert climb(criterion, approached.theta, FREE).loglik == pytest.approx(end.loglik, abs=0.1)
 
 
 def test_a_part_scores_as_all_samples_would(criterion: Criterion, base: Fit) -> None:
     """To the scatter of the part: a force that does not change shows in some blocks more than in others."""
     causes = [BY_NAME[CAUSE], BY_NAME["quadratic-drag"]]
 
-    (first, *_), (own, *_) = (screen(one, base.theta, base.free, causes) for one in (criterion, criterion.thinner))
+    (first, *_), (part, *_) = (screen(item, base.theta, base.free, causes) for item in (criterion, criterion.thinner))
 
-    assert first.cause == own.cause == CAUSE
-    assert own.testable
-    assert own.gain == pytest.approx(first.gain, rel=0.5)
-    assert own.z == pytest.approx(first.z, rel=0.5)
+    assert first.cause == part.cause == CAUSE
+    assert part.testable
+    assert part.gain == pytest.approx(first.gain, rel=0.5)
+    assert part.z == pytest.approx(first.z, rel=0.5)

@@ -92,15 +92,15 @@ def unfinished(foreign: Path) -> Diagnosis:
 
 
 def test_a_foreign_campaign_ends_by_its_budget_and_says_what_was_not_examined(unfinished: Diagnosis) -> None:
-    found = unfinished
+    diagnosis = unfinished
 
-    assert found.verdict == "unfinished"
-    assert found.budget.spent <= SHORT
-    assert found.budget.unanswered
-    assert found.ruled_out == ()
-    assert "budget of 3 million filter steps" in found.sentence
-    for question in found.budget.unanswered:
-        assert question in found.sentence
+    assert diagnosis.verdict == "unfinished"
+    assert diagnosis.budget.spent <= SHORT
+    assert diagnosis.budget.unanswered
+    assert diagnosis.ruled_out == ()
+    assert "budget of 3 million filter steps" in diagnosis.sentence
+    for question in diagnosis.budget.unanswered:
+        assert question in diagnosis.sentence
 
 
 def test_the_answer_at_the_end_of_a_budget_does_not_depend_on_the_number_of_workers(
@@ -113,13 +113,13 @@ def test_the_answer_at_the_end_of_a_budget_does_not_depend_on_the_number_of_work
 
 @pytest.mark.slow
 def test_quick_has_a_budget_without_being_asked_and_a_sufficient_one_changes_nothing(foreign: Path) -> None:
-    found = diagnose(load(foreign), Options(quick=True))
+    diagnosis = diagnose(load(foreign), Options(quick=True))
     free = diagnose(load(foreign), Options(quick=True, budget=math.inf))
 
-    assert found.budget.limit == settings.BUDGET_QUICK
-    assert found.verdict != "unfinished"
-    assert found.budget.unanswered == []
-    assert without_budget(comparable(found)) == without_budget(comparable(free))
+    assert diagnosis.budget.limit == settings.BUDGET_QUICK
+    assert diagnosis.verdict != "unfinished"
+    assert diagnosis.budget.unanswered == []
+    assert without_budget(comparable(diagnosis)) == without_budget(comparable(free))
 
 
 def without_budget(data: dict[str, Any]) -> str:
@@ -131,36 +131,36 @@ def test_the_command_line_says_that_the_search_ended_by_its_budget(
 ) -> None:
     code = main(["diagnose", str(foreign), "--quick", "--budget", "3", "--out", str(tmp_path)])
 
-    told = capsys.readouterr()
+    output = capsys.readouterr()
     data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
     assert code == 1
     assert data["verdict"] == "unfinished"
     assert data["budget"]["filter_steps"] == SHORT
     assert data["budget"]["spent"] <= SHORT
-    assert "the search used up its budget" in told.out
-    assert "3 candidates" in told.out
-    assert " %  " in told.err  # progress
+    assert "the search used up its budget" in output.out
+    assert "3 candidates" in output.out
+    assert " %  " in output.err  # progress
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "The budget of 3 million filter steps ended first" in report
 
 
-@pytest.mark.parametrize(("supplied", "said"), [("0.3", "does not fit even the paper's model"), ("0", "--budget is 0")])
+@pytest.mark.parametrize(("supplied", "text"), [("0.3", "does not fit even the paper's model"), ("0", "--budget is 0")])
 def test_a_budget_that_is_none_is_refused(
-    foreign: Path, supplied: str, said: str, capsys: pytest.CaptureFixture[str]
+    foreign: Path, supplied: str, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["diagnose", str(foreign), "--quick", "--quiet", "--budget", supplied]) == 2
 
-    told = capsys.readouterr()
-    assert said in told.err
-    assert told.out == ""
+    output = capsys.readouterr()
+    assert text in output.err
+    assert output.out == ""
 
 
 def test_of_very_many_flights_quick_takes_less_of_each() -> None:
     """The budget of `--quick` pays for a search over so many samples."""
     (flight,) = [record for record in narrow(THETA, seconds=5.0) if record.kind == "closed-loop"]
-    few, many = [flight] * 3, [flight] * 100
+    handful, many = [flight] * 3, [flight] * 100
 
-    assert {len(record.t) for record in shortened(few)[0]} == {settings.QUICK_FLIGHT_SAMPLES}
+    assert {len(record.t) for record in shortened(handful)[0]} == {settings.QUICK_FLIGHT_SAMPLES}
     assert sum(len(record.t) for record in shortened(many)[0]) == settings.QUICK_SAMPLES
     assert "400 samples of 100 recordings" in shortened(many)[1]
 
@@ -191,21 +191,21 @@ def test_wherever_a_budget_ends_what_is_known_by_then_is_sound(lagging: tuple[Cr
     needed = criterion.whole.spent
     assert set(whole.causes) == {CAUSE.name, LAG}
     assert criterion.whole.unanswered == []
-    seen = set()
+    outcomes = set()
     for share in (0.02, 0.2, 0.35, 0.65, 0.95):
         budget = Budget(share * needed)
         criterion.whole = budget
 
-        found = searched(criterion)
+        selection = searched(criterion)
 
         assert budget.spent <= budget.limit
         assert budget.unanswered
         find_classes = " ".join(question for question in budget.unanswered if "explain as much" in question)
-        assert all(cause in find_classes for cause in found.causes if cause not in found.classes)
-        assert set(found.gains) == set(found.causes)
+        assert all(cause in find_classes for cause in selection.causes if cause not in selection.classes)
+        assert set(selection.gains) == set(selection.causes)
         with criterion.free():
-            shapes = narrowing(found.fit.free, found.fit.covariance)
-            assert criterion.value(found.fit.theta) + shapes == pytest.approx(found.fit.loglik, rel=1e-12)
-        assert (AMPLITUDE in found.fit.free) == (CAUSE.name in found.causes)
-        seen.add(tuple(found.causes))
-    assert len(seen) > 2  # it did end in different places
+            shapes = narrowing(selection.fit.free, selection.fit.covariance)
+            assert criterion.value(selection.fit.theta) + shapes == pytest.approx(selection.fit.loglik, rel=1e-12)
+        assert (AMPLITUDE in selection.fit.free) == (CAUSE.name in selection.causes)
+        outcomes.add(tuple(selection.causes))
+    assert len(outcomes) > 2  # it did end in different places

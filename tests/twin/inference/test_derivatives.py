@@ -55,20 +55,20 @@ def test_a_run_is_the_filter_bit_by_bit(theta: Theta) -> None:
 @pytest.mark.parametrize("share", [0.0, 0.05])
 def test_the_noise_along_a_run_has_the_derivatives_of_the_filter(theta: Theta, share: float) -> None:
     records = narrow(theta, seconds=2.0)
-    criterion = criterion_of([less(one, drawn(one, share, 1)) if len(one.t) else one for one in records])
+    criterion = criterion_of([less(record, drawn(record, share, 1)) if len(record.t) else record for record in records])
     # Not at the maximum, where every score is small, and with process noise of a size that the data tell.
     off = replace(
         theta, K_c=1.001 * theta.K_c, sigma_x_m=0.9 * theta.sigma_x_m, process_i_c_a=1e-3, process_a_m_s2=0.02
     )
 
     exact, spread, names = score_of(criterion, off, rough=None)
-    along, spread_along, _ = score_of(criterion, off, rough=False)
+    run_score, run_spread, _ = score_of(criterion, off, rough=False)
 
     noise = [names.index(name) for name in NOISES]
-    assert along[noise] == pytest.approx(exact[noise], rel=2e-3)
-    assert spread_along[noise] == pytest.approx(spread[noise], rel=2e-3)
-    others = [place for place in range(len(names)) if place not in noise]
-    assert along[others] == pytest.approx(exact[others], rel=1e-9, abs=1e-9)
+    assert run_score[noise] == pytest.approx(exact[noise], rel=2e-3)
+    assert run_spread[noise] == pytest.approx(spread[noise], rel=2e-3)
+    remaining = [index for index in range(len(names)) if index not in noise]
+    assert run_score[remaining] == pytest.approx(exact[remaining], rel=1e-9, abs=1e-9)
     criterion.close()
 
 
@@ -99,11 +99,11 @@ def test_rough_derivatives_point_to_where_the_likelihood_rises(theta: Theta) -> 
     for rough in (None, True):
         score, spread, names = score_of(criterion, off, rough=rough)
         places = [names.index(name) for name in ("K_A", "T_A", "K_c")]
-        moves = {names[place]: score[place] / spread[place] for place in places}
-        there = off
-        for name, by in moves.items():
-            there = moved(there, name, by, PLANT)
-        values.append(criterion.value(there) - criterion.value(off))
+        moves = {names[index]: score[index] / spread[index] for index in places}
+        target = off
+        for name, step in moves.items():
+            target = moved(target, name, step, PLANT)
+        values.append(criterion.value(target) - criterion.value(off))
 
     assert values[0] > 20.0  # there is something to climb
     assert values[1] > 0.9 * values[0]
@@ -127,7 +127,7 @@ def test_the_screen_with_the_slopes_at_hand_ranks_as_the_filter_itself(hidden: T
     quick, exact = Criterion(evidence, PLANT, TICK_S, workers=1), Exact(evidence, PLANT, TICK_S, workers=1)
     base = fitted(exact, THETA)
 
-    swift, whole = ({one.cause: one for one in screen(c, base.theta, base.free)} for c in (quick, exact))
+    swift, whole = ({entry.cause: entry for entry in screen(c, base.theta, base.free)} for c in (quick, exact))
 
     for cause, score in whole.items():
         assert swift[cause].gain == pytest.approx(score.gain, rel=0.2, abs=2.0), cause

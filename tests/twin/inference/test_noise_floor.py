@@ -19,10 +19,10 @@ def test_a_right_model_lacks_nothing_under_its_own_floor_alone() -> None:
     criterion = Criterion(gather([steps(rig, seed=3, seconds=40.0)], PLANT), PLANT, TICK_S, workers=1)
     try:
         loglik = criterion.value(rig)
-        own, other = measured.under(criterion, rig), measured.under(criterion, rig.without("air-gap-offset"))
+        right, other = measured.under(criterion, rig), measured.under(criterion, rig.without("air-gap-offset"))
     finally:
         criterion.close()
 
-    chance = 4.0 * math.sqrt(0.5 * own.readings)  # four standard deviations of half a chi-squared
-    assert abs(own.excess(loglik)) < chance
+    chance = 4.0 * math.sqrt(0.5 * right.readings)  # four standard deviations of half a chi-squared
+    assert abs(right.excess(loglik)) < chance
     assert abs(other.excess(loglik)) > chance

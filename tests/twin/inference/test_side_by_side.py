@@ -19,9 +19,9 @@ def test_climbs_run_side_by_side_and_keep_their_order() -> None:
         return criterion.values([THETA.having("K_c", size)])[0]
 
     sizes = [5.5e-6, 5.6e-6, 5.7e-6, 5.8e-6]
-    found = criterion.each(work, sizes)
+    values = criterion.each(work, sizes)
     criterion.close()
 
-    alone = Criterion(criterion.evidence, PLANT, TICK_S, workers=1)
-    assert found == alone.each(lambda size: alone.value(THETA.having("K_c", size)), sizes)
-    alone.close()
+    serial = Criterion(criterion.evidence, PLANT, TICK_S, workers=1)
+    assert values == serial.each(lambda size: serial.value(THETA.having("K_c", size)), sizes)
+    serial.close()

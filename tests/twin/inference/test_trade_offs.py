@@ -22,9 +22,9 @@ FREE = (*BASE, *coordinates_of(CAUSE))
 
 @pytest.fixture(scope="module")
 def criterion() -> Iterator[Criterion]:
-    one = criterion_of(narrow(strong(CAUSE, 1e-3), seconds=10.0))
-    yield one
-    one.close()
+    instance = criterion_of(narrow(strong(CAUSE, 1e-3), seconds=10.0))
+    yield instance
+    instance.close()
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +44,8 @@ def test_a_fit_with_one_held_moves_the_other_as_the_pair_says(criterion: Criteri
 
     refit = climb(criterion, held, BASE)
 
-    moved_by = refit.theta.K_c - fit.theta.K_c
-    assert moved_by == pytest.approx(pair.correlation * 1.96 * pair.stds[1 - k], rel=0.1)
+    shift = refit.theta.K_c - fit.theta.K_c
+    assert shift == pytest.approx(pair.correlation * 1.96 * pair.stds[1 - k], rel=0.1)
     assert criterion.value(fit.theta) - criterion.value(refit.theta) == pytest.approx(END_DROP, rel=0.15)
     assert refit.std("K_c", PLANT) * pair.narrowing == pytest.approx(pair.stds[1 - k], rel=0.1)
 

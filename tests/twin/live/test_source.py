@@ -57,8 +57,8 @@ def test_the_span_is_taken_from_as_many_parts_as_it_needs(tmp_path: Path) -> Non
 
     assert short is not None
     assert long is not None
-    assert [one.tick for one in short.states] == list(range(8999 - 2000, 9000))
-    assert [one.tick for one in long.states] == list(range(8999 - 8000, 9000))
+    assert [state.tick for state in short.states] == list(range(8999 - 2000, 9000))
+    assert [state.tick for state in long.states] == list(range(8999 - 8000, 9000))
     assert len(long.parameters) == 1, "what repeats the same values is no change"
 
 
@@ -73,26 +73,26 @@ def test_a_log_of_another_machine_is_not_taken_for_ours(tmp_path: Path) -> None:
 
 def test_the_folder_is_a_campaign_that_reads_back(tmp_path: Path) -> None:
     write_part(tmp_path / "log-000.mcap", range(8000))
-    heard = from_log(pb.Status(session=7, log_file="log-000.mcap"), tmp_path, "lab", "rig", 60.0)
-    assert heard is not None
-    pieces = cut(list(heard.states), heard.captures, changes_of(heard.parameters))
+    live_data = from_log(pb.Status(session=7, log_file="log-000.mcap"), tmp_path, "lab", "rig", 60.0)
+    assert live_data is not None
+    pieces = cut(list(live_data.states), live_data.captures, changes_of(live_data.parameters))
 
-    campaign = load(write(heard, pieces, plant_of(heard), tmp_path / "out", site="lab", board="rig"))
+    campaign = load(write(live_data, pieces, plant_of(live_data), tmp_path / "out", site="lab", board="rig"))
 
-    assert [(one.kind, one.use) for one in campaign.recordings] == [("closed-loop", "fit"), ("closed-loop", "judge")]
-    assert all(campaign.path_of(one).is_file() for one in campaign.recordings)
+    assert [(item.kind, item.use) for item in campaign.recordings] == [("closed-loop", "fit"), ("closed-loop", "judge")]
+    assert all(campaign.path_of(item).is_file() for item in campaign.recordings)
     assert campaign.controller is not None
     assert campaign.controller.gains == GAINS
     assert campaign.plant.mass_kg == Model.load("ce152").plant.mass_kg
 
 
 def test_a_change_of_gains_is_where_recordings_end_and_leaves_no_single_law() -> None:
-    heard = LiveData()
+    live_data = LiveData()
     for message in (parameters(), parameters(), parameters(gains=(1.0, 2.0, 3.0, 4.0), from_tick=500)):
-        heard.take("parameters", message.SerializeToString())
+        live_data.take("parameters", message.SerializeToString())
 
-    assert changes_of(heard.parameters) == [(7, 500)]
-    assert controller_of(heard.parameters) is None
+    assert changes_of(live_data.parameters) == [(7, 500)]
+    assert controller_of(live_data.parameters) is None
 
 
 @contextmanager
@@ -112,24 +112,24 @@ def gateway(session: zenoh.Session, *boards: str) -> Iterator[None]:
 
 @pytest.mark.slow
 def test_without_a_log_here_the_bus_is_listened_to() -> None:
-    endpoint, said = free_endpoint(), list[str]()
-    with router(endpoint) as own, gateway(own, "rig"), open_client((endpoint,)) as session:
+    endpoint, messages = free_endpoint(), list[str]()
+    with router(endpoint) as router_session, gateway(router_session, "rig"), open_client((endpoint,)) as session:
         board, status = find_board(session, "lab", None)
-        heard = from_bus(session, "lab", board, 0.5, said.append)
+        live_data = from_bus(session, "lab", board, 0.5, messages.append)
 
     assert (board, status.session) == ("rig", 7)
-    ticks = [one.tick for one in heard.states]
+    ticks = [state.tick for state in live_data.states]
     assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
     assert len(ticks) > 5
-    assert "not on this machine" in said[0]
+    assert "not on this machine" in messages[0]
 
 
 def test_several_boards_must_be_told_apart_and_none_is_an_error() -> None:
     endpoint = free_endpoint()
-    with router(endpoint) as own, open_client((endpoint,)) as session:
+    with router(endpoint) as router_session, open_client((endpoint,)) as session:
         with pytest.raises(ServiceError, match=r"No gateway reports lab/\*.*Start `board51 gateway`"):
             find_board(session, "lab", None)
-        with gateway(own, "one", "two"):
+        with gateway(router_session, "one", "two"):
             with pytest.raises(UsageError, match=r"report: one, two\. Choose one with --board"):
                 find_board(session, "lab", None)
             assert find_board(session, "lab", "two")[0] == "two"

@@ -112,11 +112,11 @@ def test_the_twin_of_a_rig_with_an_unknown_force_is_quiet_once_its_model_has_a_c
     parameters, states = flown({"constant-force": force_n})
     plain = true_model()
     share = force_n / (plain.plant.mass_kg * plain.plant.gravity_m_s2)
-    curve = next(one for one in CURVES if one.name == "force-over-height")
+    curve = next(item for item in CURVES if item.name == "force-over-height")
     values = {"from_x": -plain.plant.travel_m, "to_x": 2.0 * plain.plant.travel_m}
     known = {
-        one.name: Parameter(value=values.get(one.name, share), unit=one.unit, method="known")
-        for one in curve.parameters
+        item.name: Parameter(value=values.get(item.name, share), unit=item.unit, method="known")
+        for item in curve.parameters
     }
 
     extended = watched(replace(plain, causes=(ModelCause(name=curve.name, parameters=known),)), parameters, states)
@@ -139,22 +139,22 @@ def test_readings_are_compared_with_readings() -> None:
 def test_a_delay_of_whole_and_part_ticks_shifts_what_acts_and_what_shows() -> None:
     """3.5 ms late in and 2.5 ms late out: the same readings as without, 6 ms later, three ticks."""
     plain = plant_numbers(true_model(), TICK_S)
-    late = plant_numbers(true_model(effects={"actuation-delay": 3.5e-3, "sampling-delay": 2.5e-3}), TICK_S)
-    assert (late.act_whole, late.sense_whole, late.in_whole) == (1, 1, 3)
+    delayed = plant_numbers(true_model(effects={"actuation-delay": 3.5e-3, "sampling-delay": 2.5e-3}), TICK_S)
+    assert (delayed.act_whole, delayed.sense_whole, delayed.in_whole) == (1, 1, 3)
     u = [2.0, 2.3, 1.2, 1.9, 2.2, 2.05, 1.8, 2.1, 2.15, 2.0, 1.7, 2.2]
-    rigs = [rig_at(p, i=0.6, x=1e-3, v=0.0, u=1.5) for p in (plain, late)]
+    rigs = [rig_at(p, i=0.6, x=1e-3, v=0.0, u=1.5) for p in (plain, delayed)]
     for rig in rigs:
         rig[:6] = 0.3, 1e-3, 0.0, 0.3, 1e-3, 0.0  # on its way down already
-    shown: list[list[tuple[float, float]]] = [[], []]
+    readings: list[list[tuple[float, float]]] = [[], []]
 
-    for rig, plant, inputs, which in ((rigs[0], plain, u, 0), (rigs[1], late, u, 1)):
+    for rig, plant, inputs, which in ((rigs[0], plain, u, 0), (rigs[1], delayed, u, 1)):
         for value in inputs:
             hold(tuple(plant), rig, value)
-            shown[which].append((float(rig[I_READ]), float(rig[X_READ])))
+            readings[which].append((float(rig[I_READ]), float(rig[X_READ])))
 
     # i_c alone has no memory of where the ball was meanwhile.
-    settled = [i for i, _ in shown[0]]
-    assert [i for i, _ in shown[1]][5:] == pytest.approx(settled[2:-3], rel=1e-6)
+    currents = [i for i, _ in readings[0]]
+    assert [i for i, _ in readings[1]][5:] == pytest.approx(currents[2:-3], rel=1e-6)
 
 
 def test_a_periodic_force_is_not_simulated_and_that_is_said() -> None:

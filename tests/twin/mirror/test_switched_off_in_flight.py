@@ -41,18 +41,18 @@ class Flight:
         record = self.lab.states(ticks)
         new = [
             pb.State(
-                sequence=one.sequence,
-                tick=one.sequence,
+                sequence=sample.sequence,
+                tick=sample.sequence,
                 session=1,
-                t_s=one.sequence * TICK_S,
-                i_c_a=CURRENT.to_si(one.i_c),
-                x_m=POSITION.to_si(one.x),
-                u_c_v=INPUT.to_si(one.u_c),
-                x_ref_m=POSITION.to_si(one.x_ref),
-                mode=MODES[Mode(one.flags & 3)],
-                flags=one.flags & ~3,
+                t_s=sample.sequence * TICK_S,
+                i_c_a=CURRENT.to_si(sample.i_c),
+                x_m=POSITION.to_si(sample.x),
+                u_c_v=INPUT.to_si(sample.u_c),
+                x_ref_m=POSITION.to_si(sample.x_ref),
+                mode=MODES[Mode(sample.flags & 3)],
+                flags=sample.flags & ~3,
             )
-            for one in record
+            for sample in record
         ]
         self.states += new
         return new
@@ -62,10 +62,10 @@ class Flight:
         if how == "stop":
             self.lab.firmware.feed(encode_frame(encode_body("STOP", id=255)), into_tick_us=into_tick_us)
         elif how == "host-loss":
-            self.lab.ask("SET_HOST_LOSS", policy=int(HostLoss.COIL_OFF), timeout=100)
+            self.lab.request("SET_HOST_LOSS", policy=int(HostLoss.COIL_OFF), timeout=100)
         else:
-            self.lab.ask("SET_MODE", mode=int(Mode.IDLE))
-        return next(one.tick for one in self.run(FALLEN) if one.mode == pb.MODE_IDLE)
+            self.lab.request("SET_MODE", mode=int(Mode.IDLE))
+        return next(state.tick for state in self.run(FALLEN) if state.mode == pb.MODE_IDLE)
 
 
 def watched(model: Model, states: list[pb.State]) -> list[Output]:
@@ -78,7 +78,7 @@ def alarms(outputs: list[Output]) -> list[tuple[str, int]]:
     return [(alarm.name, alarm.tick) for output in outputs for alarm in output.alarms if alarm.active]
 
 
-def judged(outputs: list[Output], *, since: int) -> list[float]:
+def valid_nis(outputs: list[Output], *, since: int) -> list[float]:
     return [o.divergence.nis for o in outputs if o.divergence.innovation_valid and o.divergence.tick >= since]
 
 
@@ -94,7 +94,7 @@ def test_a_coil_switched_off_in_flight_raises_no_alarm(how: str, x_m: float) -> 
         outputs = watched(true_model(), flight.states)
 
         assert alarms(outputs) == [], seed
-        fall = judged(outputs, since=off)
+        fall = valid_nis(outputs, since=off)
         assert len(fall) >= 4, seed
         # chi-square with 2 degrees: 1e-9 of its values are above 42
         assert max(fall) < 42.0, (seed, fall)
@@ -118,7 +118,7 @@ def test_the_flight_after_a_bounce_is_judged_and_predicted() -> None:
     off = flight.switch_off("stop", into_tick_us=750)
     landing = next(b.tick for a, b in pairwise(flight.states) if b.tick > off + 2 and b.x_m > a.x_m)
 
-    hop = judged(watched(true_model(rig), flight.states), since=landing)
+    hop = valid_nis(watched(true_model(rig), flight.states), since=landing)
 
     assert len(hop) >= 15  # 0.2 m/s up and down again: 40 ms, without the sample at the stop
     assert max(hop) < 42.0
@@ -157,7 +157,7 @@ def test_lift_offs_and_falls_in_turn_raise_no_alarm() -> None:
     flight = Flight(2.85e-3, seed=7)
     for into_tick_us in (100, 900, 1900):
         flight.switch_off("stop", into_tick_us=into_tick_us)
-        flight.lab.ask("SET_MODE", mode=int(Mode.CLOSED_LOOP))
+        flight.lab.request("SET_MODE", mode=int(Mode.CLOSED_LOOP))
         flight.run(FLOWN)
 
     assert flight.states[-1].x_m == pytest.approx(2.85e-3, abs=1e-4)

@@ -32,7 +32,7 @@ def test_k_c_and_b_say_for_which_ball_they_hold_and_how_to_state_it() -> None:
 
     marked = mark(model.parameters, model.plant)
 
-    assert [name for name, one in marked.items() if BALL in one.method] == ["K_c", "b"]
+    assert [name for name, parameter in marked.items() if BALL in parameter.method] == ["K_c", "b"]
     assert BALL in assumption_warning(model.plant)
     assert "assumed = true" in assumption_warning(model.plant)
     assert "--plant FILE" in assumption_warning(model.plant)
@@ -67,13 +67,13 @@ def test_a_design_on_an_assumed_plant_warns() -> None:
 
 @pytest.mark.parametrize("model_json", ["", model_text(Model.load("ce152"))])
 def test_a_live_twin_on_the_nominal_model_states_no_plant(model_json: str) -> None:
-    heard = LiveData(model_json=model_json)
+    live_data = LiveData(model_json=model_json)
 
-    assert plant_of(heard).assumed
+    assert plant_of(live_data).assumed
 
 
 def test_a_live_twin_on_another_model_states_its_plant() -> None:
-    own = replace(Model.load("ce152"), plant=replace(Model.load("ce152").plant, mass_kg=5e-3))
-    heard = LiveData(model_json=model_text(own))
+    custom = replace(Model.load("ce152"), plant=replace(Model.load("ce152").plant, mass_kg=5e-3))
+    live_data = LiveData(model_json=model_text(custom))
 
-    assert plant_of(heard) == own.plant
+    assert plant_of(live_data) == custom.plant

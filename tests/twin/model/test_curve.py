@@ -15,10 +15,10 @@ CE152 = Base(K_A=0.3, T_A=0.02, K_c=3e-6, b=0.02, mass_kg=0.0084, gravity_m_s2=9
 LOW, HIGH = 1e-3, 4e-3
 
 
-def having(place: int, k: NDArray[np.float64], low: float = LOW, high: float = HIGH) -> NDArray[np.float64]:
+def having(index: int, k: NDArray[np.float64], low: float = LOW, high: float = HIGH) -> NDArray[np.float64]:
     """The vector c with one curve."""
     c = neutral()
-    c[place], c[place + 1], c[place + 2 : place + 2 + len(k)] = low, high, k
+    c[index], c[index + 1], c[index + 2 : index + 2 + len(k)] = low, high, k
     return c
 
 
@@ -35,13 +35,13 @@ def test_a_curve_is_the_b_spline_of_its_coefficients() -> None:
 def test_outside_its_range_a_curve_fades_to_nothing_without_a_jump() -> None:
     c = having(curve.FORCE_OVER_X, np.full(curve.COEFFICIENTS, 0.3))
     knot = (HIGH - LOW) / (curve.COEFFICIENTS - 3)
-    beyond = [curve.value(c, curve.FORCE_OVER_X, HIGH + share * knot) for share in np.linspace(0.0, 3.0, 61)]
+    fading = [curve.value(c, curve.FORCE_OVER_X, HIGH + share * knot) for share in np.linspace(0.0, 3.0, 61)]
 
     assert curve.value(c, curve.FORCE_OVER_X, 0.5 * (LOW + HIGH)) == pytest.approx(0.3)
-    assert beyond[0] == pytest.approx(0.3)
-    assert np.all(np.diff(beyond) <= 0.0)
-    assert np.max(-np.diff(beyond)) < 0.02
-    assert beyond[-1] == 0.0
+    assert fading[0] == pytest.approx(0.3)
+    assert np.all(np.diff(fading) <= 0.0)
+    assert np.max(-np.diff(fading)) < 0.02
+    assert fading[-1] == 0.0
     assert curve.value(c, curve.FORCE_OVER_X, LOW - 3.0 * knot) == 0.0
     assert curve.value(c, curve.FORCE_OVER_X, 1e9) == 0.0
 
@@ -61,8 +61,8 @@ def test_each_curve_is_a_share_of_what_its_text_says() -> None:
     weight = p.gravity_m_s2
     pull = acceleration(p, plain, i, x, v, 0.0) + weight + p.b * v / p.mass_kg
 
-    def change(place: int, low: float, high: float) -> float:
-        return acceleration(p, having(place, k, low, high), i, x, v, 0.0) - acceleration(p, plain, i, x, v, 0.0)
+    def change(index: int, low: float, high: float) -> float:
+        return acceleration(p, having(index, k, low, high), i, x, v, 0.0) - acceleration(p, plain, i, x, v, 0.0)
 
     assert change(curve.FORCE_OVER_X, 0.0, 5e-3) == pytest.approx(0.1 * weight)
     assert change(curve.FORCE_OVER_V, -1.0, 1.0) == pytest.approx(0.1 * weight)
@@ -71,9 +71,9 @@ def test_each_curve_is_a_share_of_what_its_text_says() -> None:
     i_0 = np.sqrt(p.mass_kg * p.gravity_m_s2 / p.K_c) * (p.x_max_m - 0.5 * p.travel_m)
     driven = drive(p, having(curve.DRIVE_OVER_U, k, 0.0, 5.0), u, 0.0) - drive(p, plain, u, 0.0)
     assert driven == pytest.approx(0.1 * i_0)
-    shown = position_reading(p, having(curve.SENSOR_OVER_X, k, 0.0, 5e-3), x, i) - x
-    assert shown == pytest.approx(0.1 * p.travel_m)
+    shift = position_reading(p, having(curve.SENSOR_OVER_X, k, 0.0, 5e-3), x, i) - x
+    assert shift == pytest.approx(0.1 * p.travel_m)
 
 
 def test_a_curve_is_no_entry_of_the_catalogue() -> None:
-    assert {one.name for one in curve.CURVES}.isdisjoint(cause.name for cause in CATALOGUE)
+    assert {item.name for item in curve.CURVES}.isdisjoint(cause.name for cause in CATALOGUE)

@@ -27,8 +27,8 @@ def independent(i: float, x: float, v: float, u: float, coupling: float) -> Floa
         force = RIG.K_c * y[0] ** 2 / gap**2 - RIG.b * y[2]
         return [(RIG.K_A * u - voltage - y[0]) / RIG.T_A, y[2], force / RIG.mass_kg - RIG.gravity_m_s2]
 
-    found = solve_ivp(slope, (0.0, TICK_S), [i, x, v], method="LSODA", rtol=1e-9, atol=1e-12)
-    return np.asarray(found.y[:, -1])
+    solution = solve_ivp(slope, (0.0, TICK_S), [i, x, v], method="LSODA", rtol=1e-9, atol=1e-12)
+    return np.asarray(solution.y[:, -1])
 
 
 @pytest.mark.parametrize(
@@ -54,11 +54,11 @@ LAGS = (eddy_current_lag.TAU, position_sensor_lag.TAU, current_sensor_lag.TAU)
 
 
 @pytest.mark.parametrize("part", [0.0, 1e-19])
-@pytest.mark.parametrize(("place", "value"), [(COUPLING, STRONG), *((lag, 1e-3) for lag in LAGS)])
-def test_an_interval_of_no_length_changes_nothing(place: int, value: float, part: float) -> None:
+@pytest.mark.parametrize(("index", "value"), [(COUPLING, STRONG), *((lag, 1e-3) for lag in LAGS)])
+def test_an_interval_of_no_length_changes_nothing(index: int, value: float, part: float) -> None:
     """Under a delay of a whole number of intervals nothing but rounding is left of the first part."""
     c, y = neutral(), np.zeros(STATES)
-    c[place] = value
+    c[index] = value
     y[I_C], y[X], y[V], y[FIELD], y[SENSOR] = 0.5, 1.0e-3, -0.1, 0.5, 1.0e-3
     before = y.copy()
 

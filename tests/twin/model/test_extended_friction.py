@@ -30,26 +30,26 @@ def free(y: FloatArray) -> float:
 
 def independent(v: float, u: float, friction_n: float) -> FloatArray:
     """i_c, x, x' after the ticks: from one standstill or start to the next by an adaptive solver with events."""
-    most = friction_n / RIG.mass_kg
+    limit = friction_n / RIG.mass_kg
     t, y = 0.0, np.array([START_A, START_M, v])
     while t < TICKS * TICK_S - 1e-12:
-        held = y[2] == 0.0 and abs(free(y)) <= most
+        held = y[2] == 0.0 and abs(free(y)) <= limit
         way = math.copysign(1.0, y[2] if y[2] != 0.0 else free(y))
         if not held and y[2] == 0.0:
             y[2] = 1e-9 * way  # the event is the next standstill, not this one
 
         def slope(_t: float, y: FloatArray, held: bool = held, way: float = way) -> list[float]:
             current = (RIG.K_A * u - y[0]) / RIG.T_A
-            return [current, 0.0, 0.0] if held else [current, y[2], free(y) - way * most]
+            return [current, 0.0, 0.0] if held else [current, y[2], free(y) - way * limit]
 
         def changes(_t: float, y: FloatArray, held: bool = held) -> float:
-            return abs(free(y)) - most if held else float(y[2])
+            return abs(free(y)) - limit if held else float(y[2])
 
         event: Callable[..., float] = changes
         event.terminal, event.direction = True, 1.0 if held else -way  # type: ignore[attr-defined]  # scipy reads them off the function
-        found = solve_ivp(slope, (t, TICKS * TICK_S), y, method="DOP853", events=event, rtol=1e-10, atol=1e-13)
-        t, y = float(found.t[-1]), np.asarray(found.y[:, -1])
-        if found.t_events is not None and len(found.t_events[0]):
+        solution = solve_ivp(slope, (t, TICKS * TICK_S), y, method="DOP853", events=event, rtol=1e-10, atol=1e-13)
+        t, y = float(solution.t[-1]), np.asarray(solution.y[:, -1])
+        if solution.t_events is not None and len(solution.t_events[0]):
             y[2] = 0.0
             y[0] += math.copysign(1e-9, free(y)) if held else 0.0  # out of the balance, not just to its edge
     return y

@@ -21,7 +21,7 @@ Data = dict[str, Any]
 
 
 def test_every_cause_survives_the_round_trip(tmp_path: Path) -> None:
-    effects = {one.name: 0.5 * (one.strength.low + one.strength.high) for one in CATALOGUE}
+    effects = {cause.name: 0.5 * (cause.strength.low + cause.strength.high) for cause in CATALOGUE}
     model = true_model(effects=effects)
     path = tmp_path / "extended_model.json"
     path.write_text(json.dumps(model.to_json()))
@@ -29,10 +29,10 @@ def test_every_cause_survives_the_round_trip(tmp_path: Path) -> None:
     again = Model.load(path)
 
     assert again == model
-    assert [one.name for one in again.causes] == list(effects)
+    assert [cause.name for cause in again.causes] == list(effects)
     c = vector(again.causes)
-    for one in CATALOGUE:
-        assert c[one.strength.index] == effects[one.name]
+    for entry in CATALOGUE:
+        assert c[entry.strength.index] == effects[entry.name]
 
 
 def test_a_shape_that_a_file_leaves_out_is_that_of_the_usual_form() -> None:

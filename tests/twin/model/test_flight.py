@@ -46,8 +46,8 @@ def paper(T_A: float = 3e-4) -> Base:
 
 def vector(values: dict[int, float]) -> FloatArray:
     c = neutral()
-    for place, value in values.items():
-        c[place] = value
+    for index, value in values.items():
+        c[index] = value
     return c
 
 
@@ -93,25 +93,25 @@ def test_a_step_is_as_exact_as_runge_kutta(cause: str, T_s: float) -> None:
         flown.append(np.abs(y[[I_C, X, V]] - want))
         stepped.append(np.abs(y_steps[[I_C, X, V]] - want))
 
-    errors, others = np.max(flown, axis=0), np.max(stepped, axis=0)
+    errors, step_errors = np.max(flown, axis=0), np.max(stepped, axis=0)
     assert errors[0] < 1e-9
-    assert errors[1] < 1.5 * others[1] + 5e-9
-    assert errors[2] < 1.5 * others[2] + 1e-5
+    assert errors[1] < 1.5 * step_errors[1] + 5e-9
+    assert errors[2] < 1.5 * step_errors[2] + 1e-5
     assert errors[1] < 2e-7
 
 
 def test_a_change_of_the_input_within_a_step_is_two_steps() -> None:
     p, c = paper(), neutral()
     y, before, u, _ = random_flight(np.random.default_rng(3), p, 2e-3)
-    apart = y.copy()
+    split = y.copy()
 
     fly(tuple(p), c, y, before, 7e-4, u, 0.0, 2e-3)
-    fly(tuple(p), c, apart, before, 7e-4, before, 0.0, 7e-4)
-    fly(tuple(p), c, apart, u, 0.0, u, 7e-4, 1.3e-3)
+    fly(tuple(p), c, split, before, 7e-4, before, 0.0, 7e-4)
+    fly(tuple(p), c, split, u, 0.0, u, 7e-4, 1.3e-3)
 
-    assert y[I_C] == pytest.approx(apart[I_C], rel=1e-12)
-    assert y[X] == pytest.approx(apart[X], abs=1e-8)
-    assert y[V] == pytest.approx(apart[V], abs=1e-5)
+    assert y[I_C] == pytest.approx(split[I_C], rel=1e-12)
+    assert y[X] == pytest.approx(split[X], abs=1e-8)
+    assert y[V] == pytest.approx(split[V], abs=1e-5)
 
 
 def test_the_warmth_follows_the_mean_square_of_the_current() -> None:

@@ -31,7 +31,7 @@ AMPLIFIERS = {
 def test_a_ball_that_cannot_move_changes_nothing(name: str, duration: float) -> None:
     c = neutral()
     for parameter, value in AMPLIFIERS[name].items():
-        c[next(one for one in BY_NAME[name].parameters if one.name == parameter).index] = value
+        c[next(item for item in BY_NAME[name].parameters if item.name == parameter).index] = value
     for i, u in ((0.2, 3.0), (0.8, 0.0), (0.6, 2.2), (0.0, 0.0)):
         y = np.zeros(STATES)
         y[I_C] = y[FIELD] = i

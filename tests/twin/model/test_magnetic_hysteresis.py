@@ -28,7 +28,7 @@ def having(order: float, back: float, turn_a: float = TURN_A) -> FloatArray:
     return c
 
 
-def along(c: FloatArray, path: list[float], z: float = 0.0) -> float:
+def follow_path(c: FloatArray, path: list[float], z: float = 0.0) -> float:
     for before, after in pairwise(path):
         z = loop.turned(c, z, before, after)
     return z
@@ -40,7 +40,7 @@ def test_its_limit_is_a_play(path: list[float]) -> None:
     for i in path[1:]:
         field = min(max(field, i - WIDTH_A), i + WIDTH_A)
 
-    assert loop.field(c, path[-1], along(c, path)) == pytest.approx(field, abs=1e-9)
+    assert loop.field(c, path[-1], follow_path(c, path)) == pytest.approx(field, abs=1e-9)
 
 
 @pytest.mark.parametrize(("back", "weight"), [(0.0, 0.5), (1.0, 1.0)], ids=["Bouc-Wen", "Dahl"])
@@ -68,16 +68,16 @@ def test_it_depends_on_the_way_of_the_current_alone(
 ) -> None:
     c = having(order, back)
     between = path[-2] + part * (path[-1] - path[-2])
-    end = along(c, path, z)
+    end = follow_path(c, path, z)
 
     assert -1.0 <= end <= 1.0
-    assert along(c, [*path[:-1], between, path[-1]], z) == pytest.approx(end, abs=2e-6)
+    assert follow_path(c, [*path[:-1], between, path[-1]], z) == pytest.approx(end, abs=2e-6)
 
 
 def test_a_play_of_a_smooth_corner_is_nearly_that_of_a_sharp_one() -> None:
     path = list(0.6 + 0.2 * np.sin(np.linspace(0.0, 12.0, 200)))
 
-    assert along(having(0.0101, 0.0), path) == pytest.approx(along(having(0.0, 0.0), path), abs=0.01)
+    assert follow_path(having(0.0101, 0.0), path) == pytest.approx(follow_path(having(0.0, 0.0), path), abs=0.01)
 
 
 def test_a_falling_ball_is_held_longer_by_the_current_that_came_from_above() -> None:

@@ -39,14 +39,14 @@ def strings(tree: ast.Module) -> Iterator[str]:
 
 
 def test_no_file_outside_the_catalogue_names_a_cause() -> None:
-    found = {(name, cause) for name, tree in sources() for text in strings(tree) for cause in NAMED.findall(text)}
+    mentions = {(name, cause) for name, tree in sources() for text in strings(tree) for cause in NAMED.findall(text)}
 
-    assert found - ALLOWED == set()
+    assert mentions - ALLOWED == set()
 
 
 def test_only_the_physics_imports_the_file_of_a_cause() -> None:
     modules = {f"twin.model.causes.{cause.name.replace('-', '_')}" for cause in CATALOGUE}
-    found = {
+    imports = {
         (name, module)
         for name, tree in sources()
         if not name.startswith(PHYSICS)
@@ -56,7 +56,7 @@ def test_only_the_physics_imports_the_file_of_a_cause() -> None:
         if module in modules
     }
 
-    assert found == set()
+    assert imports == set()
 
 
 def test_causes_that_name_others_name_ones_that_are_there_and_each_pair_once() -> None:

@@ -118,8 +118,8 @@ def reference_tick(p: PlantNumbers, i: float, x: float, v: float, u: float) -> t
     return float(z[0]), float(z[1]), float(z[2])
 
 
-@pytest.mark.parametrize(("gap_above_stop_m", "most_m"), [(0.0, 2e-7), (2.438e-3, 6e-8)])
-def test_a_tick_agrees_with_an_adaptive_solver(gap_above_stop_m: float, most_m: float) -> None:
+@pytest.mark.parametrize(("gap_above_stop_m", "tolerance_m"), [(0.0, 2e-7), (2.438e-3, 6e-8)])
+def test_a_tick_agrees_with_an_adaptive_solver(gap_above_stop_m: float, tolerance_m: float) -> None:
     """Over currents, positions, speeds and inputs of a flying ball, jumps of 1 A right under the coil included.
 
     Largest error: a seventh of a converter count (1.4 um) with the coil's pole at the top stop, a twentieth with it
@@ -138,8 +138,8 @@ def test_a_tick_agrees_with_an_adaptive_solver(gap_above_stop_m: float, most_m: 
 
         i_ref, x_ref, v_ref = reference_tick(p, i, x, v, u)
         assert after[0] == pytest.approx(i_ref, rel=1e-9)
-        assert after[1] == pytest.approx(x_ref, abs=most_m)
-        assert after[2] == pytest.approx(v_ref, abs=2.0 * most_m / T_S)
+        assert after[1] == pytest.approx(x_ref, abs=tolerance_m)
+        assert after[2] == pytest.approx(v_ref, abs=2.0 * tolerance_m / T_S)
 
 
 @pytest.mark.parametrize("sample_time_s", [1e-4, 5e-4, 2e-2])

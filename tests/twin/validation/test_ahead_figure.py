@@ -15,6 +15,6 @@ def test_a_horizon_alone_has_ticks_on_both_axes() -> None:
     (ax,) = ahead_figure([row]).axes
 
     low, high = ax.get_ylim()
-    shown = [label.get_text() for label in ax.get_yticklabels() if low <= label.get_position()[1] <= high]
-    assert shown == ["5", "10"]
+    labels = [label.get_text() for label in ax.get_yticklabels() if low <= label.get_position()[1] <= high]
+    assert labels == ["5", "10"]
     assert [label.get_text() for label in ax.get_xticklabels()] == ["2"]

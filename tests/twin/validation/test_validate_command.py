@@ -32,7 +32,7 @@ def write_log(path: Path, record: Record, ball: Ball, *, step: bool = True) -> N
     """A log as a gateway leaves it: what the board announced, a capture, every sample."""
     law = controller_of(ball)
     point = law.operating_point
-    told = pb.Parameters(
+    parameters = pb.Parameters(
         session=1,
         sample_time_s=ball.tick,
         law=pb.LAW_LQI,
@@ -44,7 +44,7 @@ def write_log(path: Path, record: Record, ball: Ball, *, step: bool = True) -> N
         stream_divider=1,
     )
     with TwinLog(path) as log:
-        log.write(key("board51", "rig", "parameters"), told, message_type=pb.Parameters, log_time_ns=1)
+        log.write(key("board51", "rig", "parameters"), parameters, message_type=pb.Parameters, log_time_ns=1)
         if step:
             capture = captured(ball, 5).captures[0]
             message = pb.CaptureRecord(
@@ -145,8 +145,8 @@ def test_a_csv_without_controller_still_gives_a_report(
 def test_only_an_amplifier_step_tests_only_the_amplifier(
     tmp_path: Path, flight: Record, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    nothing = replace(flight, **{name: getattr(flight, name)[:0] for name in ("t", "u_c", "i_c", "x", "x_ref")})
-    write_log(tmp_path / "run.mcap", nothing, BALL)
+    empty = replace(flight, **{name: getattr(flight, name)[:0] for name in ("t", "u_c", "i_c", "x", "x_ref")})
+    write_log(tmp_path / "run.mcap", empty, BALL)
 
     assert run(*folder(tmp_path, kind="amplifier-step"), "--json") == 1
 
@@ -203,8 +203,8 @@ def test_constant_channels_test_nothing_and_are_said(
     tmp_path: Path, flight: Record, capsys: pytest.CaptureFixture[str]
 ) -> None:
     n = len(flight.t)
-    still = replace(flight, u_c=np.full(n, 2.0), i_c=np.full(n, 0.6), x=np.full(n, 3e-3))
-    write_log(tmp_path / "run.mcap", still, BALL, step=False)
+    constant = replace(flight, u_c=np.full(n, 2.0), i_c=np.full(n, 0.6), x=np.full(n, 3e-3))
+    write_log(tmp_path / "run.mcap", constant, BALL, step=False)
 
     code = run(*folder(tmp_path))
 
@@ -226,7 +226,7 @@ def test_a_rig_whose_law_is_unknown_is_shown_alone(
     assert code == 0
     assert "closed loop could not be compared" in capsys.readouterr().out
     numbers = json.loads((tmp_path / "report" / "validation.json").read_text())
-    alone = {row["name"]: row for row in numbers["closed_loop"]["rig_alone"]}
-    assert alone["settling_s"]["count"] > 5
-    assert 0.1 < alone["settling_s"]["rig"] < 0.4  # of a loop whose slowest mode has 50 to 60 ms
+    figures = {row["name"]: row for row in numbers["closed_loop"]["rig_alone"]}
+    assert figures["settling_s"]["count"] > 5
+    assert 0.1 < figures["settling_s"]["rig"] < 0.4  # of a loop whose slowest mode has 50 to 60 ms
     assert "measured closed loop of run.csv" in (tmp_path / "report" / "report.html").read_text()

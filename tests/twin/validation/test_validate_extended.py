@@ -28,7 +28,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def judged(campaign: Path, folder: Path, effects: dict[str, float]) -> tuple[int, dict[str, Any]]:
+def run_validation(campaign: Path, folder: Path, effects: dict[str, float]) -> tuple[int, dict[str, Any]]:
     model = true_model(draw_rig(SEED), effects)
     # The emulated rig has no process noise; with more than it has the residuals would be coloured.
     model = replace(model, noise=replace(model.noise, process_a_m_s2=2e-3, process_i_c_a=1e-5))
@@ -43,8 +43,8 @@ def test_a_model_with_the_causes_of_the_rig_passes_where_one_without_fails(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Errors at the noise floor (its own tolerance is 5 %), i_c of the amplifier's steps as measured."""
-    plain_code, plain = judged(campaign, tmp_path / "plain", {})
-    code, extended = judged(campaign, tmp_path / "extended", EFFECTS)
+    plain_code, plain = run_validation(campaign, tmp_path / "plain", {})
+    code, extended = run_validation(campaign, tmp_path / "extended", EFFECTS)
 
     assert plain_code == 1
     assert code == 0, capsys.readouterr().out

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.harness.twin.judged_ball import BALL, TICKS, captured, controller_of, judged, model_of, steps
+from tests.harness.twin.judged_ball import BALL, TICKS, captured, controller_of, model_of, steps, validate_records
 from twin.estimation.record import Record
 from twin.estimation.step_figures import FIGURES, Compared, find_steps, measure, together
 from twin.validation.report import to_html
@@ -24,19 +24,19 @@ def records() -> list[Record]:
 
 @pytest.fixture(scope="module")
 def right(records: list[Record]) -> Validation:
-    return judged(records, model_of(BALL))
+    return validate_records(records, model_of(BALL))
 
 
 @pytest.fixture(scope="module")
 def heavy_handed(records: list[Record]) -> Validation:
     """By a model with three times the force."""
-    return judged(records, model_of(BALL, K_c=3.0))
+    return validate_records(records, model_of(BALL, K_c=3.0))
 
 
 @pytest.mark.slow
 def test_a_plant_that_nobody_stated_and_an_error_at_one_horizon_in_the_report(records: list[Record]) -> None:
     model = model_of(BALL)
-    result = judged(records, replace(model, plant=replace(model.plant, assumed=True)))
+    result = validate_records(records, replace(model, plant=replace(model.plant, assumed=True)))
 
     page = to_html(replace(result, ahead=result.ahead[:1]), title="t")
 
@@ -81,7 +81,7 @@ def test_right_model_passes_every_part(right: Validation) -> None:
 
 
 def test_wrong_force_constant_is_refused(records: list[Record]) -> None:
-    result = judged(records, model_of(BALL, K_c=0.8))
+    result = validate_records(records, model_of(BALL, K_c=0.8))
 
     assert result.passed is False
     # After 40 ms a force 20 % wrong is 0.2 g t^2 / 2 = 1.5 mm off at least; noise leaves tens of micrometres.
@@ -93,7 +93,7 @@ def test_wrong_force_constant_is_refused(records: list[Record]) -> None:
 
 
 def test_wrong_amplifier_gain_shows_in_figure_7(records: list[Record], right: Validation) -> None:
-    wrong = judged(records, model_of(BALL, K_A=1.1))
+    wrong = validate_records(records, model_of(BALL, K_A=1.1))
 
     assert not isinstance(right.amplifier, str)
     assert not isinstance(wrong.amplifier, str)
@@ -106,7 +106,7 @@ def test_a_reference_that_moves_on_before_the_ball_settles_is_said() -> None:
     levels = np.random.default_rng(8).uniform(2.3e-3, 3.7e-3, 20)
     flight = replace(BALL.closed_loop(lambda k: float(levels[k // 80]), 1600, seed=9), use="judge")
 
-    result = judged([flight], model_of(BALL))
+    result = validate_records([flight], model_of(BALL))
 
     assert not isinstance(result.loop, str)
     settling = next(row for row in result.loop.steps if row.name == "settling_s")
@@ -119,7 +119,7 @@ def test_a_delay_the_model_does_not_have_is_refused(records: list[Record]) -> No
     # Logged a tick before it acts: the response of rig and record is then one tick later than (1) says.
     early = replace(flight, u_c=np.append(flight.u_c[1:], flight.u_c[-1]))
 
-    result = judged([step, early], model_of(BALL))
+    result = validate_records([step, early], model_of(BALL))
 
     assert result.passed is False
     assert any("u_c acts 1 sample(s) later" in note for note in result.notes)
@@ -130,7 +130,7 @@ def test_a_rig_with_other_dynamics_settles_differently() -> None:
     heavy = replace(BALL, b=0.3)
     flight = replace(heavy.closed_loop(steps(3), TICKS, seed=4), use="judge")
 
-    result = judged([flight], model_of(BALL))
+    result = validate_records([flight], model_of(BALL))
 
     assert not isinstance(result.loop, str)
     rise = {row.name: row for row in result.loop.steps}["rise_s"]
@@ -147,12 +147,12 @@ def test_the_answer_names_the_largest_measurable_difference_first(heavy_handed: 
         name: abs(row.difference) / (1.0 if name == "overshoot" else max(row.rig, row.simulation))
         for name, row in different.items()
     }
-    said = heavy_handed.pace()
+    answer = heavy_handed.pace()
     titles = {name: FIGURES[name][0] for name in sorted(shares, key=lambda name: -shares[name])}
-    places = [said.index(title) for title in list(titles.values())[:3]]
+    places = [answer.index(title) for title in list(titles.values())[:3]]
     assert len(different) > 3
     assert places == sorted(places)
-    assert "more below" in said
+    assert "more below" in answer
 
 
 @pytest.mark.slow
@@ -162,16 +162,16 @@ def test_nothing_settles_before_it_has_risen() -> None:
     levels = 3e-3 + np.array([0, 0.1, 0, 0.2, 0, 0.4, 0, 0.8, 0]) * 1e-3
     flight = replace(ball.closed_loop(lambda k: float(levels[k // 250]), 2250, seed=9), use="judge")
 
-    result = judged([flight], model_of(ball))
+    result = validate_records([flight], model_of(ball))
 
     assert not isinstance(result.loop, str)
     rows = []
     for run in result.loop.runs:
         for step in find_steps(run.x_ref_m, ball.tick, ball.sigma_x):
             rows.append(measure(run.x_m, run.u_c_v, run.x_ref_m, step, ball.tick, run.expected_std_m))
-    settled = [row for row in rows if np.isfinite(row[1])]
-    assert 0 < len(settled) < len(rows)
-    assert all(settling > rise for rise, settling, *_ in settled)
+    finite_rows = [row for row in rows if np.isfinite(row[1])]
+    assert 0 < len(finite_rows) < len(rows)
+    assert all(settling > rise for rise, settling, *_ in finite_rows)
     settling = next(row for row in result.loop.steps if row.name == "settling_s")
     assert settling.bands is not None
     assert settling.bands[1] <= 0.1
@@ -181,9 +181,9 @@ def test_nothing_settles_before_it_has_risen() -> None:
 
 def test_a_ball_that_is_pulled_too_hard_is_stopped_by_the_stop(heavy_handed: Validation) -> None:
     assert not isinstance(heavy_handed.windows, str)
-    shown = heavy_handed.windows.simulated_m[np.isfinite(heavy_handed.windows.simulated_m)]
-    assert shown.max() == pytest.approx(BALL.travel, rel=1e-3)  # it gets there
-    assert 0.0 <= shown.min() < shown.max() <= BALL.travel * (1.0 + 1e-9)
+    simulated_m = heavy_handed.windows.simulated_m[np.isfinite(heavy_handed.windows.simulated_m)]
+    assert simulated_m.max() == pytest.approx(BALL.travel, rel=1e-3)  # it gets there
+    assert 0.0 <= simulated_m.min() < simulated_m.max() <= BALL.travel * (1.0 + 1e-9)
     assert heavy_handed.windows.rmse_m < BALL.travel
 
 
@@ -193,7 +193,7 @@ def test_a_model_that_is_worse_than_x_stays_is_not_called_good(records: list[Rec
     wrong = model_of(BALL, K_c=1.3)
     noisy = replace(wrong, noise=replace(wrong.noise, process_a_m_s2=9.9, sigma_x_m=6e-5))
 
-    result = judged(records, noisy)
+    result = validate_records(records, noisy)
 
     hidden = [row for row in result.ahead if row.at_floor]
     assert hidden
@@ -206,7 +206,7 @@ def test_a_model_that_is_worse_than_x_stays_is_not_called_good(records: list[Rec
 def test_a_controller_that_did_not_run_is_said(records: list[Record]) -> None:
     other = replace(controller_of(BALL), gains=(0.49, 1000.0, 9.0, -8000.0))
 
-    result = judged(records, model_of(BALL), other)
+    result = validate_records(records, model_of(BALL), other)
 
     assert isinstance(result.loop, str)
     assert "does not give the recorded u_c" in result.loop
@@ -220,7 +220,7 @@ def test_lost_and_wild_readings_do_not_hide_the_law(records: list[Record]) -> No
     x[900:903] = np.nan
     x[1200] += 0.4e-3
 
-    result = judged([replace(flight, x=x)], model_of(BALL))
+    result = validate_records([replace(flight, x=x)], model_of(BALL))
 
     assert not isinstance(result.loop, str), result.loop
 
@@ -231,22 +231,22 @@ def test_a_short_flight_passes_nothing(records: list[Record], samples: int) -> N
     n = slice(samples)
     part = replace(whole, t=whole.t[n], u_c=whole.u_c[n], i_c=whole.i_c[n], x=whole.x[n], x_ref=whole.x_ref[n])
 
-    result = judged([part], model_of(BALL))
+    result = validate_records([part], model_of(BALL))
 
     assert result.passed is None
 
 
 def test_constant_channels_are_no_error(records: list[Record]) -> None:
     whole = records[1]
-    still = replace(whole, x=np.full(TICKS, 3e-3), u_c=np.full(TICKS, 2.0), i_c=np.full(TICKS, 0.6))
+    constant = replace(whole, x=np.full(TICKS, 3e-3), u_c=np.full(TICKS, 2.0), i_c=np.full(TICKS, 0.6))
 
-    assert judged([still], model_of(BALL)).passed is False
+    assert validate_records([constant], model_of(BALL)).passed is False
 
 
 def test_one_step_has_no_interval() -> None:
     flight = replace(BALL.closed_loop(lambda k: 2.6e-3 if k < 250 else 3.4e-3, 700, seed=6), use="judge")
 
-    result = judged([flight], model_of(BALL))
+    result = validate_records([flight], model_of(BALL))
 
     assert not isinstance(result.loop, str)
     assert {row.count for row in result.loop.steps} == {1}
@@ -258,31 +258,31 @@ def test_missing_pieces_are_not_testable_and_say_why(records: list[Record]) -> N
     model = model_of(BALL)
     step, flight = records
 
-    only_step = validate_sources([source_of(step, model)], model)
+    step_result = validate_sources([source_of(step, model)], model)
     no_law = validate_sources([source_of(flight, model)], model)
-    nothing = validate_sources([], model)
+    empty = validate_sources([], model)
 
-    assert only_step.passed is None
-    assert "flight" in str(only_step.channels)
-    assert "flight" in str(only_step.windows)
+    assert step_result.passed is None
+    assert "flight" in str(step_result.channels)
+    assert "flight" in str(step_result.windows)
     assert isinstance(no_law.loop, str)
     assert "[controller]" in no_law.loop
     assert no_law.passed
     assert not isinstance(no_law.amplifier, str)
     assert not no_law.amplifier.from_steps
-    assert nothing.passed is None
-    assert "could not be tested" in nothing.answer()
+    assert empty.passed is None
+    assert "could not be tested" in empty.answer()
 
 
 def test_data_for_fitting_judge_only_for_want_of_others_and_it_is_said(records: list[Record]) -> None:
     model = model_of(BALL)
     fit = replace(records[1], use="fit", name="fitted")
 
-    alone = judged([fit], model)
-    both = judged([fit, records[1]], model)
+    fit_result = validate_records([fit], model)
+    both = validate_records([fit, records[1]], model)
 
-    assert alone.flown == ("fitted",)
-    assert any("may have been fitted" in note for note in alone.notes)
+    assert fit_result.flown == ("fitted",)
+    assert any("may have been fitted" in note for note in fit_result.notes)
     assert both.flown == (records[1].name,)
     assert not any("may have been fitted" in note for note in both.notes)
 
@@ -291,7 +291,7 @@ def test_a_stated_noise_that_is_wrong_is_seen(records: list[Record]) -> None:
     model = model_of(BALL)
     quiet = replace(model, noise=replace(model.noise, sigma_x_m=model.noise.sigma_x_m / math.sqrt(2.0)))
 
-    result = judged(records, quiet)
+    result = validate_records(records, quiet)
 
     assert not isinstance(result.channels, str)
     assert not result.channels[1].size_right
@@ -303,7 +303,7 @@ def test_settling_interval_and_verdict_hold_over_many_flights() -> None:
     missed, refused = 0, 0
     for seed in range(20):
         flight = replace(BALL.closed_loop(steps(300 + seed), TICKS, seed=400 + seed), use="judge")
-        result = judged([flight], model_of(BALL))
+        result = validate_records([flight], model_of(BALL))
         assert not isinstance(result.loop, str)
         settling = next(row for row in result.loop.steps if row.name == "settling_s")
         assert settling.ci95 is not None
@@ -318,7 +318,7 @@ def test_one_wrong_gain_of_the_law_is_not_blamed_on_the_model(records: list[Reco
     right = controller_of(BALL)
     gains = (right.gains[0], right.gains[1] * 0.95, right.gains[2], right.gains[3])
 
-    result = judged(records, model_of(BALL), replace(right, gains=gains))
+    result = validate_records(records, model_of(BALL), replace(right, gains=gains))
 
     assert isinstance(result.loop, str)
     assert "follows gains of about [0.49, 2000, 18, " in result.loop
@@ -333,12 +333,12 @@ def test_single_wild_readings_are_left_out_and_counted(records: list[Record]) ->
     x[places[:10]] = rng.uniform(0.5e-3, 5e-3, 10)
     i[places[10:]] = rng.uniform(1.0, 1.5, 10)
 
-    result = judged([step, replace(flight, x=x, i_c=i)], model_of(BALL))
+    result = validate_records([step, replace(flight, x=x, i_c=i)], model_of(BALL))
 
     assert result.passed, result.failures()
-    said = next(note for note in result.notes if "outlying readings were left out" in note)
+    message = next(note for note in result.notes if "outlying readings were left out" in note)
     # A drawn x may lie near the true one; a wild one draws the estimate with it, and the sample behind it looks wild.
-    assert 18 <= int(said.split(" ")[0]) <= 30
+    assert 18 <= int(message.split(" ")[0]) <= 30
     assert not isinstance(result.loop, str)
     rise = next(row for row in result.loop.steps if row.name == "rise_s")
     assert rise.count == rise.steps
@@ -349,7 +349,7 @@ def test_single_wild_readings_are_left_out_and_counted(records: list[Record]) ->
 
 
 def test_steps_of_the_amplifier_are_measured_against_equation_1(records: list[Record], right: Validation) -> None:
-    slow = judged(records[:1], model_of(BALL, T_A=1.5))
+    slow = validate_records(records[:1], model_of(BALL, T_A=1.5))
 
     assert not isinstance(right.amplifier, str)
     assert not isinstance(slow.amplifier, str)
@@ -365,7 +365,7 @@ def test_what_the_model_does_not_know_is_said(records: list[Record]) -> None:
     model = model_of(BALL)
     unsure = replace(model.parameters["b"], verdict="not-identifiable", method="placeholder")
 
-    result = judged(records, replace(model, parameters={**model.parameters, "b": unsure}))
+    result = validate_records(records, replace(model, parameters={**model.parameters, "b": unsure}))
 
     assert any("is not identified: placeholder" in note for note in result.notes)
 
@@ -377,7 +377,7 @@ def test_a_delay_of_the_models_own_recordings_is_corrected_and_a_longer_one_is_n
     flight = records[1]
     early = [replace(flight, u_c=np.append(flight.u_c[n:], flight.u_c[-n:])) for n in (1, 2)]
 
-    same, longer = (judged([records[0], record], aware) for record in early)
+    same, longer = (validate_records([records[0], record], aware) for record in early)
 
     assert same.passed, same.failures()
     assert any("corrected here as there" in note for note in same.notes)

@@ -92,9 +92,9 @@ def test_another_law_gives_the_flight_that_is_then_flown() -> None:
     expected = forecast(source(flight(FLOWN, 1), model), model, law_of(gains), draws=20)
     then = flight(gains, 2)
     part = slice(len(then.t) - len(expected.t_s), None)
-    settled = slice(500, None)
-    near = then.x[part] - expected.x_m[1]
-    assert np.std(near[settled]) < 0.15 * np.std(then.x[part] - expected.recorded_x_m)
+    steady = slice(500, None)
+    error_m = then.x[part] - expected.x_m[1]
+    assert np.std(error_m[steady]) < 0.15 * np.std(then.x[part] - expected.recorded_x_m)
     overshoot = next(figure for figure in expected.figures if figure.name == "overshoot")
     assert not overshoot.ci95[0] <= overshoot.recorded <= overshoot.ci95[1]
     assert expected.answer().startswith("The ball stays in flight. Expected: ")
@@ -107,7 +107,7 @@ def test_the_interval_holds_the_flown_figure_as_often_as_stated() -> None:
     Of 95 % intervals for about 55 figures, correlated within a flight, at least 85 % hold.
     """
     rng = np.random.default_rng(11)
-    inside = total = 0
+    covered = total = 0
     for n in range(10):
         effects = {"motional-emf": 0.3} if n % 2 else {}
         exact = true_model(effects=effects)
@@ -125,9 +125,9 @@ def test_the_interval_holds_the_flown_figure_as_often_as_stated() -> None:
         for figure, value in zip(expected.figures, flown, strict=True):
             if math.isfinite(value) and figure.draws and figure.name != "at_limit":
                 total += 1
-                inside += figure.ci95[0] <= value <= figure.ci95[1]
+                covered += figure.ci95[0] <= value <= figure.ci95[1]
     assert total > 40
-    assert inside >= 0.85 * total
+    assert covered >= 0.85 * total
 
 
 def test_the_flight_that_followed_stands_beside_its_forecast() -> None:
@@ -140,8 +140,8 @@ def test_the_flight_that_followed_stands_beside_its_forecast() -> None:
     assert sum(figure.held for figure in known) >= len(known) - 1
     assert "figures of the flight that followed" in result.answer()
     steps = np.flatnonzero(np.diff(result.x_ref_m)) + 1
-    settled = slice(int(steps[0]) + 200, int(steps[1]))
-    assert np.nanmean(result.flown_x_m[settled]) == pytest.approx(result.x_ref_m[settled][0], abs=20e-6)
+    steady = slice(int(steps[0]) + 200, int(steps[1]))
+    assert np.nanmean(result.flown_x_m[steady]) == pytest.approx(result.x_ref_m[steady][0], abs=20e-6)
     assert result.notes == ()
     (note,) = forecast(before, model, law_of(gains), then=before, draws=2).notes
     assert note == "flight-1 was flown under another law than that of the forecast"
@@ -149,8 +149,8 @@ def test_the_flight_that_followed_stands_beside_its_forecast() -> None:
 
 def test_a_delay_that_the_model_lacks_is_a_caution() -> None:
     model = true_model()
-    late = replace(source(flight(FLOWN, 1), model), unknown_delay=2)
-    (note,) = forecast(late, model, law_of(FLOWN), draws=2).notes
+    delayed = replace(source(flight(FLOWN, 1), model), unknown_delay=2)
+    (note,) = forecast(delayed, model, law_of(FLOWN), draws=2).notes
     assert note.startswith("u_c acts 2 sample(s) later than recorded, which the model does not include")
 
 

@@ -33,10 +33,10 @@ def test_my_display_shows_where_the_ball_is(board51_gateway: GatewayFactory) -> 
         rig.set_reference(0.003)
         rig.set_mode("closed-loop")
         rig.read(1.0)
-        shown = asyncio.run(display.height_mm())
+        displayed_mm = asyncio.run(display.height_mm())
         rig.stop()
 
-    assert shown == pytest.approx(3.0, abs=0.3)
+    assert displayed_mm == pytest.approx(3.0, abs=0.3)
 
 
 def test_my_script_hears_of_a_reset_on_a_bad_line(board51_gateway: GatewayFactory) -> None:

@@ -93,21 +93,21 @@ def test_the_interval_is_that_of_the_straight_line() -> None:
 def test_noise_alone_seldom_names_a_cause() -> None:
     named = 0
     for seed in range(12):
-        found = diagnose_points(campaign_of(PLANT), [noisy(6, balance, sigma_a=4e-3, seed=100 + seed)], [])
-        named += found.verdict == "causes-found"
+        diagnosis = diagnose_points(campaign_of(PLANT), [noisy(6, balance, sigma_a=4e-3, seed=100 + seed)], [])
+        named += diagnosis.verdict == "causes-found"
 
     assert named <= 3  # of 12 at 5 %: more has a chance of 0.2 %
 
 
 @pytest.mark.slow
 def test_a_coil_plane_too_high_is_within_its_interval() -> None:
-    inside = 0
+    covered = 0
     for seed in range(12):
         points = points_of([noisy(6, lambda x: balance(x, d_m=2e-3), sigma_a=4e-3, seed=seed)], PLANT)
         low, high = interval(points, PLANT, fit_static(points, PLANT, "air-gap-offset"))
-        inside += low <= 2e-3 <= high
+        covered += low <= 2e-3 <= high
 
-    assert inside >= 9  # of 12 at 95 %: fewer has a chance of 0.2 %
+    assert covered >= 9  # of 12 at 95 %: fewer has a chance of 0.2 %
 
 
 @pytest.fixture(scope="module")
@@ -119,24 +119,24 @@ def shifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, dict[str, An
 
 
 def test_the_class_is_told_apart_by_the_pole(shifted: tuple[int, dict[str, Any], Path]) -> None:
-    code, found, _ = shifted
+    code, report, _ = shifted
 
     assert code == 0
-    (cause,) = found["causes"]
+    (cause,) = report["causes"]
     assert cause["name"] == "air-gap-offset"
     assert cause["parameters"]["d_m"]["value"] == pytest.approx(2e-3, abs=2e-5)
     gap = TRAVEL_M / 2.0 + 2e-3
     assert cause["unstable_pole_per_s"] == pytest.approx(math.sqrt(2.0 * GRAVITY_M_S2 / gap), rel=0.01)
     assert "current-sensor-offset" in cause["indistinguishable_from"]
     assert cause["next_experiment"]["separation_z"] > 3.0
-    assert found["gain"]["leave_one_out"]["ratio"] < 0.05
-    assert found["gain"]["judge"] is None
+    assert report["gain"]["leave_one_out"]["ratio"] < 0.05
+    assert report["gain"]["judge"] is None
 
 
 def test_what_cannot_show_at_rest_is_said_so(shifted: tuple[int, dict[str, Any], Path]) -> None:
-    _, found, _ = shifted
+    _, report, _ = shifted
 
-    why = {entry["name"]: entry["why"] for entry in found["not_testable"]}
+    why = {entry["name"]: entry["why"] for entry in report["not_testable"]}
     assert {"quadratic-drag", "actuation-delay", "current-sensor-gain"} <= set(why)
     assert "K_c" in why["constant-force"]
     assert "measured" in why["amplifier-offset"]
@@ -162,27 +162,27 @@ def test_a_bent_balance_is_no_shifted_coil(tmp_path: Path) -> None:
     x = heights(9)
     currents = [0.4 * ((TRAVEL_M - at) / 2.85e-3) ** 0.75 for at in x]
 
-    _, found = diagnosed(tmp_path, x, currents)
+    _, report = diagnosed(tmp_path, x, currents)
 
-    (cause,) = found["causes"]
+    (cause,) = report["causes"]
     assert cause["name"] == "force-exponent"
     assert cause["parameters"]["n"]["value"] == pytest.approx(1.5, abs=0.01)
     assert "air-gap-offset" not in cause["indistinguishable_from"]
-    assert "air-gap-offset" in {entry["name"] for entry in found["ruled_out"]}
+    assert "air-gap-offset" in {entry["name"] for entry in report["ruled_out"]}
 
 
 def test_three_points_name_nothing_but_say_what_is_near(tmp_path: Path) -> None:
     x = heights(3)
     bend = (2e-3, -4e-3, 2e-3)
 
-    code, found = diagnosed(
+    code, report = diagnosed(
         tmp_path, x, [round(balance(at, d_m=2e-3) + off, 3) for at, off in zip(x, bend, strict=True)]
     )
 
     assert code == 1
-    assert found["verdict"] == "unknown-cause"
-    assert found["causes"] == []
-    assert "too few" in found["sentence"]
+    assert report["verdict"] == "unknown-cause"
+    assert report["causes"] == []
+    assert "too few" in report["sentence"]
 
 
 @pytest.mark.slow
@@ -190,11 +190,11 @@ def test_a_current_computed_from_the_input_blames_the_amplifier_too(tmp_path: Pa
     x = heights(6)
     u = [round(balance(at, d_m=2e-3) / 0.3, 3) for at in x]
 
-    _, found = diagnosed(tmp_path, x, [0.3 * volts for volts in u], u)
+    _, report = diagnosed(tmp_path, x, [0.3 * volts for volts in u], u)
 
-    assert {"amplifier-offset", "amplifier-dead-zone"} & set(found["causes"][0]["indistinguishable_from"])
-    assert any("computed" in warning for warning in found["warnings"])
-    assert found["gain"]["leave_one_out"]["noise_floor_a"] == pytest.approx(0.3e-3 / math.sqrt(12.0))
+    assert {"amplifier-offset", "amplifier-dead-zone"} & set(report["causes"][0]["indistinguishable_from"])
+    assert any("computed" in warning for warning in report["warnings"])
+    assert report["gain"]["leave_one_out"]["noise_floor_a"] == pytest.approx(0.3e-3 / math.sqrt(12.0))
 
 
 def test_judge_points_are_left_out_and_judged(tmp_path: Path) -> None:
@@ -202,12 +202,12 @@ def test_judge_points_are_left_out_and_judged(tmp_path: Path) -> None:
     i = [balance(at, d_m=2e-3) for at in x]
     write(tmp_path / "judge.csv", x[1::2], i[1::2])
 
-    _, found = diagnosed(
+    _, report = diagnosed(
         tmp_path, x[::2], i[::2], more='\n[[recording]]\nfile = "judge.csv"\nkind = "equilibria"\nuse = "judge"\n'
     )
 
-    assert found["gain"]["judge"]["baseline_rmse_a"] > 0.05
-    assert found["gain"]["judge"]["extended_rmse_a"] < 1e-4
+    assert report["gain"]["judge"]["baseline_rmse_a"] > 0.05
+    assert report["gain"]["judge"]["extended_rmse_a"] < 1e-4
 
 
 @pytest.mark.parametrize(
@@ -227,8 +227,8 @@ def test_points_that_cannot_be_are_refused(x: list[float], i: list[float], says:
 @pytest.mark.slow
 def test_a_cause_without_an_unstable_pole_leaves_the_file_readable() -> None:
     records = [noisy(8, lambda x: balance(x, d_m=2e-3), sigma_a=1e-4, seed=1)]
-    found = diagnose_points(campaign_of(PLANT), records, [])
-    stable = replace(found, members=tuple(replace(member, pole_per_s=math.nan) for member in found.members))
+    diagnosis = diagnose_points(campaign_of(PLANT), records, [])
+    stable = replace(diagnosis, members=tuple(replace(member, pole_per_s=math.nan) for member in diagnosis.members))
 
     data = json.loads(as_text(to_json(stable)))
 

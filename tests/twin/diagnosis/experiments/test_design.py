@@ -43,9 +43,9 @@ def as_trial(cause: str, fit: Fit, at: Fit) -> Trial:
     return Trial(cause=cause, fit=fit, gain=fit.loglik - at.loglik)
 
 
-def z_of(own: Fit, confounder: Fit) -> float:
+def z_of(correct: Fit, confounder: Fit) -> float:
     """By how much the data prefer the one that made them."""
-    lead = own.loglik - confounder.loglik
+    lead = correct.loglik - confounder.loglik
     return math.copysign(math.sqrt(2.0 * abs(lead)), lead)
 
 
@@ -55,20 +55,20 @@ def gap_or_exponent() -> tuple[list[Record], Criterion, Fit, Fit, list[Proposal]
     theta = strong(GAP, 2.5e-4)
     records = narrow(theta, seconds=4.0)
     criterion = criterion_of(records)
-    own, confounder = fitted(criterion, theta, GAP), fitted(criterion, strong(EXPONENT, 1.9), EXPONENT)
+    correct, confounder = fitted(criterion, theta, GAP), fitted(criterion, strong(EXPONENT, 1.9), EXPONENT)
     return (
         records,
         criterion,
-        own,
+        correct,
         confounder,
-        propose(criterion, own, GAP, [as_trial(EXPONENT, confounder, own)], controller()),
+        propose(criterion, correct, GAP, [as_trial(EXPONENT, confounder, correct)], controller()),
     )
 
 
 @pytest.mark.parametrize("item", MENU, ids=lambda item: item.name)
 def test_what_is_commanded_stays_in_its_range_and_is_said_in_numbers(item: Experiment) -> None:
     schedule, times = schedule_of(item, lift_off_v=3.0, travel_m=5.7e-3, tick_s=TICK_S)
-    said = sentence(item, lift_off_v=3.0, travel_m=5.7e-3)
+    text = sentence(item, lift_off_v=3.0, travel_m=5.7e-3)
 
     unit = 5.7e-3 if item.closed_loop else 3.0
     ends = [
@@ -80,22 +80,22 @@ def test_what_is_commanded_stays_in_its_range_and_is_said_in_numbers(item: Exper
         assert len(schedule.command) * TICK_S * times == pytest.approx(
             sum(part.duration_s for part in item.signals), rel=0.01
         )
-    assert "{" not in said
-    assert ("mm" if item.closed_loop else " V") in said or item.name == "rest"
+    assert "{" not in text
+    assert ("mm" if item.closed_loop else " V") in text or item.name == "rest"
 
 
 def test_force_laws_are_told_apart_by_wide_motion(
     gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]],
 ) -> None:
-    _, _, own, confounder, proposals = gap_or_exponent
-    z = {one.name: one.separation_z for one in proposals}
+    _, _, correct, confounder, proposals = gap_or_exponent
+    z = {proposal.name: proposal.separation_z for proposal in proposals}
 
-    assert abs(z_of(own, confounder)) < ENOUGH_Z  # the campaign so far cannot
+    assert abs(z_of(correct, confounder)) < ENOUGH_Z  # the campaign so far cannot
     # A power that may bend imitates a shifted pole but for the whole travel.
     assert z["holds"] > 3.0 * max(z["steps"], ENOUGH_Z)
     assert min(z["wide-steps"], z["slow-ramp"]) > z["steps"]
     assert max(z["rest"], z["amplifier-steps"], z["blocked-ball"]) < ENOUGH_Z  # the amplifier alone
-    assert [one.separation_z for one in proposals] == sorted(z.values(), reverse=True)
+    assert [proposal.separation_z for proposal in proposals] == sorted(z.values(), reverse=True)
     assert proposals[0].separable
     assert not proposals[-1].separable
     assert proposals[0].command == f"board51 campaign run FOLDER --experiment {proposals[0].name}"
@@ -113,87 +113,87 @@ def test_force_laws_are_told_apart_by_wide_motion(
 def test_the_separation_is_what_a_refit_with_the_experiment_finds(
     name: str, gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]]
 ) -> None:
-    records, _, own, confounder, proposals = gap_or_exponent
-    predicted = next(one.separation_z for one in proposals if one.name == name)
+    records, _, correct, confounder, proposals = gap_or_exponent
+    predicted = next(proposal.separation_z for proposal in proposals if proposal.name == name)
     item = ITEMS[name]
     whole = replace(item, stationary=False)
 
-    with_it = criterion_of([*records, *made(whole, own.theta, seed=11)])
-    found = z_of(fitted(with_it, own.theta, GAP), fitted(with_it, confounder.theta, EXPONENT))
+    with_it = criterion_of([*records, *made(whole, correct.theta, seed=11)])
+    actual_z = z_of(fitted(with_it, correct.theta, GAP), fitted(with_it, confounder.theta, EXPONENT))
 
     # z has a standard error of 1.  A clear misfit is partly taken for process noise, which the prediction does not do.
-    assert found > 0.35 * predicted - 3.0
-    assert found < 1.25 * predicted + 3.0
+    assert actual_z > 0.35 * predicted - 3.0
+    assert actual_z < 1.25 * predicted + 3.0
 
 
 def test_what_the_campaign_leaves_open_is_not_taken_for_a_difference(
     gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]],
 ) -> None:
-    _, criterion, own, _, _ = gap_or_exponent
-    errors, place = 3.0, own.free.index(f"{GAP}.d_m")
-    along = own.covariance[:, place] / math.sqrt(own.covariance[place, place])  # the others follow, as in a fit
-    theta = own.theta
-    for name, by in zip(own.free, along, strict=True):
-        theta = moved(theta, name, errors * float(by), PLANT)
-    same = replace(own, theta=theta)
+    _, criterion, correct, _, _ = gap_or_exponent
+    errors, index = 3.0, correct.free.index(f"{GAP}.d_m")
+    shift = correct.covariance[:, index] / math.sqrt(correct.covariance[index, index])  # the others follow, as in a fit
+    theta = correct.theta
+    for name, component in zip(correct.free, shift, strict=True):
+        theta = moved(theta, name, errors * float(component), PLANT)
+    same = replace(correct, theta=theta)
 
-    proposals = propose(criterion, own, GAP, [as_trial(GAP, same, own)], controller())
+    proposals = propose(criterion, correct, GAP, [as_trial(GAP, same, correct)], controller())
 
     # Tied down by F_c, told by F_e: z^2 = errors^2 F_e / (F_c + F_e) < errors^2, a tenth for the noise levels.
-    assert max(one.separation_z for one in proposals) < 1.1 * errors
-    assert max(one.separation_z for one in proposals) > 0.5 * errors
+    assert max(proposal.separation_z for proposal in proposals) < 1.1 * errors
+    assert max(proposal.separation_z for proposal in proposals) > 0.5 * errors
 
 
 def test_an_experiment_four_times_as_long_tells_more_but_not_more_than_four(
     gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, criterion, own, confounder, _ = gap_or_exponent
+    _, criterion, correct, confounder, _ = gap_or_exponent
     steps = Wave(shape="rectangle", low=0.27, high=0.73, period_s=1.4, duration_s=4.2, on_reference=True)
     short = Experiment(name="wide-steps", kind="closed-loop", use="fit", purpose="", expects="flies", steps=(steps,))
     long = replace(short, name="longer", steps=(replace(steps, duration_s=16.8),))
     monkeypatch.setattr(experiments, "MENU", (short, long))
 
-    proposals = propose(criterion, own, GAP, [as_trial(EXPONENT, confounder, own)], controller())
+    proposals = propose(criterion, correct, GAP, [as_trial(EXPONENT, confounder, correct)], controller())
 
-    squares = {one.name: one.separation_z**2 - one.pairs[0].now_z ** 2 for one in proposals}
+    squares = {proposal.name: proposal.separation_z**2 - proposal.pairs[0].now_z ** 2 for proposal in proposals}
     # Less than four: what the campaign ties down ties both.
     assert 1.5 < squares["longer"] / squares["wide-steps"] < 4.1
 
 
 @pytest.fixture(scope="module")
-def late() -> tuple[Criterion, Fit, Trial]:
+def delay_case() -> tuple[Criterion, Fit, Trial]:
     """A rig whose input acts late; the fit of that, and of samples that are late."""
     truth = strong("actuation-delay", 6e-4)
     criterion = criterion_of(narrow(truth, seconds=2.0))
-    own = fitted(criterion, truth, "actuation-delay")
+    correct = fitted(criterion, truth, "actuation-delay")
     samples = fitted(criterion, strong("sampling-delay", 6e-4), "sampling-delay")
-    return criterion, own, as_trial("sampling-delay", samples, own)
+    return criterion, correct, as_trial("sampling-delay", samples, correct)
 
 
 def test_causes_of_one_effect_are_not_separable_and_the_measurement_that_does_it_is_named(
-    late: tuple[Criterion, Fit, Trial],
+    delay_case: tuple[Criterion, Fit, Trial],
 ) -> None:
-    criterion, own, samples = late
+    criterion, correct, samples = delay_case
 
-    proposals = propose(criterion, own, "actuation-delay", [samples], controller())
+    proposals = propose(criterion, correct, "actuation-delay", [samples], controller())
 
     assert proposals
-    for one in proposals:
-        assert one.separation_z < 0.5
-        assert not one.separable
-        (pair,) = one.pairs
+    for proposal in proposals:
+        assert proposal.separation_z < 0.5
+        assert not proposal.separable
+        (pair,) = proposal.pairs
         assert not pair.separable
         assert "oscilloscope" in pair.measurement
 
 
 @pytest.mark.slow
 def test_with_several_confounders_the_hopeless_pair_does_not_hide_what_the_others_need(
-    late: tuple[Criterion, Fit, Trial],
+    delay_case: tuple[Criterion, Fit, Trial],
 ) -> None:
-    criterion, own, samples = late
-    lag = as_trial("eddy-current-lag", fitted(criterion, strong("eddy-current-lag", 6e-4), "eddy-current-lag"), own)
+    criterion, correct, samples = delay_case
+    lag = as_trial("eddy-current-lag", fitted(criterion, strong("eddy-current-lag", 6e-4), "eddy-current-lag"), correct)
 
-    proposals = propose(criterion, own, "actuation-delay", [samples, lag], controller())
+    proposals = propose(criterion, correct, "actuation-delay", [samples, lag], controller())
 
     delay, eddy = proposals[0].pairs
     assert (delay.confounder, delay.separable) == ("sampling-delay", False)
@@ -205,35 +205,35 @@ def test_with_several_confounders_the_hopeless_pair_does_not_hide_what_the_other
 def test_nothing_is_proposed_without_a_confounder(
     gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]],
 ) -> None:
-    _, criterion, own, _, _ = gap_or_exponent
+    _, criterion, correct, _, _ = gap_or_exponent
 
-    assert propose(criterion, own, GAP, [], controller()) == []
+    assert propose(criterion, correct, GAP, [], controller()) == []
 
 
 def test_a_loop_that_drops_the_ball_is_not_proposed(
     gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]],
 ) -> None:
-    _, criterion, own, confounder, _ = gap_or_exponent
+    _, criterion, correct, confounder, _ = gap_or_exponent
     weak = replace(controller(), gains=(0.0, 100.0, 1.0, -10.0))
 
-    proposals = propose(criterion, own, GAP, [as_trial(EXPONENT, confounder, own)], weak)
+    proposals = propose(criterion, correct, GAP, [as_trial(EXPONENT, confounder, correct)], weak)
 
     assert proposals
-    assert not any(ITEMS[one.name].closed_loop for one in proposals)
+    assert not any(ITEMS[proposal.name].closed_loop for proposal in proposals)
 
 
 @pytest.mark.slow
 def test_a_coil_that_heats_is_asked_to_get_warm() -> None:
     truth = strong("amplifier-gain-drift", 0.03)
     criterion = criterion_of(narrow(truth, seconds=1.5))
-    own = fitted(criterion, truth, "amplifier-gain-drift")
+    correct = fitted(criterion, truth, "amplifier-gain-drift")
     confounder = fitted(criterion, strong("amplifier-dead-zone", 0.05), "amplifier-dead-zone")
 
     proposals = propose(
-        criterion, own, "amplifier-gain-drift", [as_trial("amplifier-dead-zone", confounder, own)], controller()
+        criterion, correct, "amplifier-gain-drift", [as_trial("amplifier-dead-zone", confounder, correct)], controller()
     )
 
-    assert "warm-run" in {one.name for one in proposals}
+    assert "warm-run" in {proposal.name for proposal in proposals}
 
 
 @pytest.mark.parametrize("cause", CATALOGUE, ids=lambda cause: cause.name)
@@ -259,14 +259,14 @@ class Bench:
         self.x_ref_m = MIDDLE_M
 
     def narrow(self) -> list[Record]:
-        self.lab.ask("SET_MODE", mode=1)
+        self.lab.request("SET_MODE", mode=1)
         captures = tuple(self.lab.capture(a, b) for a, b in ((0.3, 1.5), (1.5, 2.5)))
         empty = np.empty(0)
         bursts = Record(
             name="bursts", kind="amplifier-step", use="fit", t=empty, u_c=empty, i_c=empty, x=empty, x_ref=empty,
             captures=captures,
         )  # fmt: skip
-        self.lab.ask("SET_MODE", mode=0)
+        self.lab.request("SET_MODE", mode=0)
         self.lab.fly(MIDDLE_M)
         self.lab.run(300)
         self._excite(Wave(shape="rectangle", low=0.44, high=0.56, period_s=1.0, duration_s=4.0))
@@ -296,7 +296,7 @@ class Bench:
         """As far at once as the board allows, again and again."""
         while abs(x_m - self.x_ref_m) > 1e-9:
             self.x_ref_m += min(max(x_m - self.x_ref_m, -0.6e-3), 0.6e-3)
-            self.lab.ask("SET_REFERENCE", x_ref=POSITION.to_count(self.x_ref_m))
+            self.lab.request("SET_REFERENCE", x_ref=POSITION.to_count(self.x_ref_m))
             self.lab.run(20)
 
     def _excite(self, wave: Wave) -> None:
@@ -332,16 +332,16 @@ def test_the_proposed_experiment_splits_on_the_emulated_board_what_narrow_steps_
     )  # fmt: skip
     before = bench.narrow()
     criterion = criterion_of(before, bench.plant)
-    own = fitted(criterion, strong(GAP, 1e-4, believed), GAP)
+    correct = fitted(criterion, strong(GAP, 1e-4, believed), GAP)
     confounder = fitted(criterion, strong(EXPONENT, 1.95, believed), EXPONENT)
-    assert abs(z_of(own, confounder)) < ENOUGH_Z
+    assert abs(z_of(correct, confounder)) < ENOUGH_Z
 
-    proposals = propose(criterion, own, GAP, [as_trial(EXPONENT, confounder, own)], bench.controller)
-    best = next(one for one in proposals if ITEMS[one.name].closed_loop)
+    proposals = propose(criterion, correct, GAP, [as_trial(EXPONENT, confounder, correct)], bench.controller)
+    best = next(proposal for proposal in proposals if ITEMS[proposal.name].closed_loop)
     criterion = criterion_of([*before, bench.perform(ITEMS[best.name])], bench.plant)
-    own, confounder = fitted(criterion, own.theta, GAP), fitted(criterion, confounder.theta, EXPONENT)
+    correct, confounder = fitted(criterion, correct.theta, GAP), fitted(criterion, confounder.theta, EXPONENT)
 
     assert best.separable
-    assert z_of(own, confounder) > ENOUGH_Z
-    d_m = own.theta.value(f"{GAP}.d_m")
-    assert abs(d_m - 2.5e-4) < 4.0 * own.std(f"{GAP}.d_m", bench.plant)
+    assert z_of(correct, confounder) > ENOUGH_Z
+    d_m = correct.theta.value(f"{GAP}.d_m")
+    assert abs(d_m - 2.5e-4) < 4.0 * correct.std(f"{GAP}.d_m", bench.plant)

@@ -163,16 +163,16 @@ def test_the_emulated_board_flies_the_ball_along_the_same_path() -> None:
     )  # fmt: skip
     i_0, u_0 = rig.equilibrium_current_a(MIDDLE_M), rig.equilibrium_input_v(MIDDLE_M)
     gain = CE152.equilibrium_current_a(MIDDLE_M) / i_0 * CE152.amplifier_gain_a_v / rig.amplifier_gain_a_v
-    told = controller()
-    told = replace(
-        told,
+    tuned = controller()
+    tuned = replace(
+        tuned,
         gains=(0.49, 1700.0 / gain, 17.7 / gain, -17600.0 / gain),
-        operating_point=replace(told.operating_point, i_c_a=i_0, u_c_v=u_0),
+        operating_point=replace(tuned.operating_point, i_c_a=i_0, u_c_v=u_0),
     )
     plant = replace(PLANT, mass_kg=rig.mass_kg, x_max_m=rig.travel_m + rig.coil_plane_above_stop_m)
 
     first, second = (
-        resimulate(Rig(theta=theta, plant=plant, controller=told), [record], seed=seed)[0] for seed in (1, 2)
+        resimulate(Rig(theta=theta, plant=plant, controller=tuned), [record], seed=seed)[0] for seed in (1, 2)
     )
 
     # Two repetitions differ by twice the variance of the loop's noise; so does either from the board's run.
@@ -216,17 +216,17 @@ def test_the_ball_lies_where_the_stop_is_and_bounces_off_neither(lag_s: float) -
 
 def test_noise_keeps_its_size_through_the_converters() -> None:
     coarse = Converters(i_lsb_a=2.5e-3, x_lsb_m=6e-6, u_lsb_v=1e-3)
-    still = Schedule(name="rest", kind="free", command=np.full(6000, 1.2))
+    rest = Schedule(name="rest", kind="free", command=np.full(6000, 1.2))
 
-    (record,) = simulate(Rig(theta=THETA, plant=PLANT, converters=coarse), still, seed=1)
+    (record,) = simulate(Rig(theta=THETA, plant=PLANT, converters=coarse), rest, seed=1)
 
     # Uniform rounding noise is exact while sigma exceeds half a step; sigma of a sigma: 1 / sqrt(2 n) = 0.9 %
     sigma_i, sigma_x = sensor_noise(criterion_of([record]).evidence)
     assert sigma_i == pytest.approx(THETA.sigma_i_c_a, rel=0.04)
     assert sigma_x == pytest.approx(THETA.sigma_x_m, rel=0.04)
-    found = converters_of([replace(record, lsb=(0.0, 0.0))])
-    assert found.i_lsb_a == pytest.approx(2.5e-3, rel=1e-6)
-    assert found.x_lsb_m == pytest.approx(6e-6, rel=1e-6)
+    converters = converters_of([replace(record, lsb=(0.0, 0.0))])
+    assert converters.i_lsb_a == pytest.approx(2.5e-3, rel=1e-6)
+    assert converters.x_lsb_m == pytest.approx(6e-6, rel=1e-6)
 
 
 def test_a_capture_rises_to_its_level_in_its_time() -> None:
@@ -234,12 +234,12 @@ def test_a_capture_rises_to_its_level_in_its_time() -> None:
 
     (record,) = simulate(Rig(theta=THETA, plant=PLANT), burst, seed=1)
 
-    (one,) = record.captures
+    (capture,) = record.captures
     error = 4.0 * THETA.sigma_i_c_a
-    assert abs(one.i_c_a[: one.step_index].mean() - 0.5 * THETA.K_A) < error / 10.0
-    assert abs(one.i_c_a[-300:].mean() - 1.5 * THETA.K_A) < error / 17.0
-    after = one.step_index + round(THETA.T_A / one.sample_time_s)
-    assert abs(one.i_c_a[after] - THETA.K_A * (1.5 - math.exp(-1.0))) < error
+    assert abs(capture.i_c_a[: capture.step_index].mean() - 0.5 * THETA.K_A) < error / 10.0
+    assert abs(capture.i_c_a[-300:].mean() - 1.5 * THETA.K_A) < error / 17.0
+    after = capture.step_index + round(THETA.T_A / capture.sample_time_s)
+    assert abs(capture.i_c_a[after] - THETA.K_A * (1.5 - math.exp(-1.0))) < error
 
 
 def test_a_capture_has_the_process_noise_of_the_rig_whatever_its_sampling_interval() -> None:
@@ -248,9 +248,9 @@ def test_a_capture_has_the_process_noise_of_the_rig_whatever_its_sampling_interv
     slow = rig_of(replace(THETA, process_i_c_a=1e-2))
     fast = replace(rig_of(replace(THETA, process_i_c_a=1e-2 / math.sqrt(2.0))), tick_s=0.5 * slow.tick_s)
 
-    ((one,), (other,)) = (simulate(rig, schedule, seed=3)[0].captures for rig in (slow, fast))
+    ((capture,), (other,)) = (simulate(rig, schedule, seed=3)[0].captures for rig in (slow, fast))
 
-    assert np.allclose(other.i_c_a, one.i_c_a, rtol=0.0, atol=1e-12)
+    assert np.allclose(other.i_c_a, capture.i_c_a, rtol=0.0, atol=1e-12)
 
 
 def test_equilibria_are_repeated_from_the_force_balance() -> None:

@@ -39,7 +39,7 @@ def searched(explained: float, **gains: float) -> Selection:
     )
 
 
-def judged(low: float, high: float, *, baseline_m: float = 1e-4) -> Gain:
+def gain_between(low: float, high: float, *, baseline_m: float = 1e-4) -> Gain:
     """Errors between so many times the floor."""
     ratio = 0.5 * (low + high)
     return Gain(
@@ -55,7 +55,7 @@ def judged(low: float, high: float, *, baseline_m: float = 1e-4) -> Gain:
 
 
 @pytest.mark.parametrize(
-    ("explained", "gains", "lacks", "fine"),
+    ("explained", "gains", "lacks", "fits"),
     [
         (720.0, {"a": 720.0}, 280.0, True),  # nothing measurable is left: the cause explains all of it
         (720.0, {"a": 720.0}, 280.0, False),
@@ -66,15 +66,15 @@ def judged(low: float, high: float, *, baseline_m: float = 1e-4) -> Gain:
     ],
 )
 def test_what_causes_explain_alone_and_jointly_and_what_is_left_is_all_there_is(
-    explained: float, gains: dict[str, float], lacks: float, fine: bool
+    explained: float, gains: dict[str, float], lacks: float, fits: bool
 ) -> None:
-    account = account_of(searched(explained, **gains), lacks, fine)
+    account = account_of(searched(explained, **gains), lacks, fits)
 
     parts = [*account.cause_shares.values(), account.jointly, account.unexplained]
     assert all(0.0 <= part <= 1.0 for part in parts)
     assert sum(parts) == pytest.approx(1.0)
-    assert (account.unexplained == 0.0) is fine
-    if not fine:
+    assert (account.unexplained == 0.0) is fits
+    if not fits:
         assert account.unexplained == pytest.approx(lacks / (explained + lacks))
 
 
@@ -86,7 +86,7 @@ def test_a_part_that_two_causes_take_jointly_is_neither_s() -> None:
 
 
 @pytest.mark.parametrize(
-    ("named", "fine", "low", "verdict"),
+    ("named", "fits", "low", "verdict"),
     [
         (True, True, 0.98, "causes-found"),
         (True, True, 1.15, "partly-explained"),
@@ -99,16 +99,16 @@ def test_a_part_that_two_causes_take_jointly_is_neither_s() -> None:
         (True, True, float("nan"), "causes-found"),
     ],
 )
-def test_the_verdict_is_what_both_kinds_of_recordings_say(named: bool, fine: bool, low: float, verdict: str) -> None:
-    assert verdict_of(named=named, is_adequate=fine, leading=fine, gain=judged(low, low + 0.1)) == verdict
-    assert verdict_of(named=named, is_adequate=fine, gain=None) in ("causes-found", "model-adequate", "unknown-cause")
+def test_the_verdict_is_what_both_kinds_of_recordings_say(named: bool, fits: bool, low: float, verdict: str) -> None:
+    assert verdict_of(named=named, is_adequate=fits, leading=fits, gain=gain_between(low, low + 0.1)) == verdict
+    assert verdict_of(named=named, is_adequate=fits, gain=None) in ("causes-found", "model-adequate", "unknown-cause")
 
 
 def test_beside_a_rest_a_name_holds_that_explains_more_than_the_rest() -> None:
-    near = judged(1.15, 1.25)
-    assert verdict_of(named=True, is_adequate=False, leading=True, gain=near) == "partly-explained"
-    assert verdict_of(named=True, is_adequate=False, leading=True, gain=judged(2.2, 2.3)) == "partly-explained"
-    less = judged(2.2, 2.3, baseline_m=4e-5)
+    gain = gain_between(1.15, 1.25)
+    assert verdict_of(named=True, is_adequate=False, leading=True, gain=gain) == "partly-explained"
+    assert verdict_of(named=True, is_adequate=False, leading=True, gain=gain_between(2.2, 2.3)) == "partly-explained"
+    less = gain_between(2.2, 2.3, baseline_m=4e-5)
     assert verdict_of(named=True, is_adequate=False, leading=True, gain=less) == "unknown-cause"
     assert verdict_of(named=True, is_adequate=False, leading=True, gain=None) == "unknown-cause"
     account = account_of(searched(900.0, a=700.0, b=100.0), 200.0, False)
@@ -122,18 +122,18 @@ def test_names_that_explain_most_of_it_jointly_may_imitate_another() -> None:
     assert account.jointly == pytest.approx(550.0 / 900.0)
     assert account.overlaps
     assert not account.leads("a")
-    assert verdict_of(named=True, is_adequate=True, leading=False, gain=judged(1.15, 1.25)) == "unknown-cause"
+    assert verdict_of(named=True, is_adequate=True, leading=False, gain=gain_between(1.15, 1.25)) == "unknown-cause"
 
 
 @pytest.mark.parametrize("counted", [False, True])
 def test_names_that_explain_most_of_it_jointly_do_not_hold_where_nothing_is_left_either(counted: bool) -> None:
-    alike, apart = (searched(900.0, a=gain, b=100.0) for gain in (250.0, 500.0))
+    overlapping, distinct = (searched(900.0, a=gain, b=100.0) for gain in (250.0, 500.0))
 
     verdicts = [
         judge(
             selection, None, None, account_of(selection, 0.0, True), is_adequate=True, finished=True, counted=counted
         ).verdict
-        for selection in (alike, apart)
+        for selection in (overlapping, distinct)
     ]
 
     assert verdicts == ["unknown-cause", "causes-found"]
@@ -141,11 +141,11 @@ def test_names_that_explain_most_of_it_jointly_do_not_hold_where_nothing_is_left
 
 def test_names_that_take_less_than_half_on_the_judge_recordings_may_only_be_confounders() -> None:
     assert (
-        verdict_of(named=True, is_adequate=True, leading=True, gain=judged(1.15, 1.25, baseline_m=1.6e-5))
+        verdict_of(named=True, is_adequate=True, leading=True, gain=gain_between(1.15, 1.25, baseline_m=1.6e-5))
         == "partly-explained"
     )
     assert (
-        verdict_of(named=True, is_adequate=True, leading=True, gain=judged(1.15, 1.25, baseline_m=1.3e-5))
+        verdict_of(named=True, is_adequate=True, leading=True, gain=gain_between(1.15, 1.25, baseline_m=1.3e-5))
         == "unknown-cause"
     )
 
@@ -159,40 +159,40 @@ def test_a_cause_takes_no_more_than_all_of_them_gain() -> None:
 
 
 @cache
-def found_gap() -> Diagnosis:
+def gap_diagnosis() -> Diagnosis:
     """As the search would leave it: confidence by the verdict, the sentence by the numbers."""
-    found = diagnosis("air-gap-offset", 5e-4)
-    return replace(found, sentence=summary_sentence(found))
+    result = diagnosis("air-gap-offset", 5e-4)
+    return replace(result, sentence=summary_sentence(result))
 
 
 def partly() -> Diagnosis:
     """The same where the judge recordings show more than noise."""
-    found = found_gap()
-    assert found.gain is not None
+    result = gap_diagnosis()
+    assert result.gain is not None
     low = TOLERANCE + 0.1
-    above_floor = replace(found.gain, extended_rmse_m=found.gain.floor_m * (low + 0.05), ci95_floor=(low, low + 0.1))
+    above_floor = replace(result.gain, extended_rmse_m=result.gain.floor_m * (low + 0.05), ci95_floor=(low, low + 0.1))
     above_floor = replace(above_floor, ci95_ratio=(0.0, 1.0))
-    gains = tuple(above_floor if one is found.gain else one for one in found.gains)
-    (cause,) = found.causes
+    gains = tuple(above_floor if gain is result.gain else gain for gain in result.gains)
+    (cause,) = result.causes
     cause = replace(cause, confidence=settings.MAX_CONFIDENCE["partly-explained"])
-    found = replace(
-        found,
+    result = replace(
+        result,
         verdict=verdict_of(named=True, is_adequate=True, leading=True, gain=above_floor),
         gain=above_floor,
         gains=gains,
         causes=(cause,),
         unexplained_where=beyond_sentence(above_floor),
     )
-    return replace(found, sentence=summary_sentence(found))
+    return replace(result, sentence=summary_sentence(result))
 
 
 def test_the_numbers_of_a_diagnosis_agree() -> None:
-    assert disagreements(to_json(found_gap())) == []
+    assert disagreements(to_json(gap_diagnosis())) == []
 
 
 def test_an_answer_that_leaves_more_than_noise_on_the_judge_recordings_says_so_everywhere() -> None:
-    found = partly()
-    data = to_json(found)
+    result = partly()
+    data = to_json(result)
 
     assert disagreements(data) == []
     assert data["verdict"] == "partly-explained"
@@ -201,14 +201,14 @@ def test_an_answer_that_leaves_more_than_noise_on_the_judge_recordings_says_so_e
 
 
 def test_the_page_says_of_which_quantity_each_share_is() -> None:
-    show = summarise(found_gap(), controller(), quick=True)
+    show = summarise(gap_diagnosis(), controller(), quick=True)
     whole, part = (
         " ".join(
             re.sub(
-                r"<[^>]+>", " ", to_html(replace(found, quick=True), show, campaign=Path("c"), out=Path("o"))
+                r"<[^>]+>", " ", to_html(replace(result, quick=True), show, campaign=Path("c"), out=Path("o"))
             ).split()
         )
-        for found in (found_gap(), partly())
+        for result in (gap_diagnosis(), partly())
     )
 
     for text in (whole, part):
@@ -224,10 +224,10 @@ def changed(data: dict[str, Any], path: str, value: object) -> dict[str, Any]:
     """A copy with one number another."""
     data = copy.deepcopy(data)
     *before, last = path.split(".")
-    place: Any = data
+    node: Any = data
     for key in before:
-        place = place[int(key)] if isinstance(place, list) else place[key]
-    place[last] = value
+        node = node[int(key)] if isinstance(node, list) else node[key]
+    node[last] = value
     return data
 
 
@@ -251,7 +251,7 @@ def changed(data: dict[str, Any], path: str, value: object) -> dict[str, Any]:
     ],
 )
 def test_a_number_that_contradicts_the_others_is_found(path: str, value: object) -> None:
-    assert disagreements(changed(to_json(found_gap()), path, value))
+    assert disagreements(changed(to_json(gap_diagnosis()), path, value))
 
 
 def test_the_interval_of_error_over_floor_covers_1_under_noise_and_too_short_a_recording_has_none() -> None:
@@ -263,4 +263,4 @@ def test_the_interval_of_error_over_floor_covers_1_under_noise_and_too_short_a_r
 
     assert covered >= 88  # 93 % at least, less 2 standard deviations of 100 trials
     short = diagnosis("air-gap-offset", 5e-4, seconds=0.5 * settings.ERROR_BLOCKS - 1.0)
-    assert all(not np.isfinite(one.ci95_floor[0]) for one in short.gains)
+    assert all(not np.isfinite(gain.ci95_floor[0]) for gain in short.gains)

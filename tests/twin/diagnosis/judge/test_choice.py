@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -23,8 +24,8 @@ from twin.diagnosis.search.state import Selection
 from twin.inference.theta import Theta
 from twin.model.parameters import Model
 
-ONE, OTHER = strong("quadratic-drag", 1.0, QUIET), strong("coulomb-friction", 1e-3, QUIET)
-BOTH = strong("coulomb-friction", 1e-3, ONE)
+DRAG, OTHER = strong("quadratic-drag", 1.0, QUIET), strong("coulomb-friction", 1e-3, QUIET)
+BOTH = strong("coulomb-friction", 1e-3, DRAG)
 
 
 def ahead(ratio: float, *, spread: float = 0.05, ms: int = 20) -> Gain:
@@ -43,8 +44,8 @@ def ahead(ratio: float, *, spread: float = 0.05, ms: int = 20) -> Gain:
 
 def searched() -> Selection:
     """A search that took drag, then friction."""
-    base, one, both = fit_of(QUIET, 0.0), fit_of(ONE, 100.0), fit_of(BOTH, 140.0)
-    return Selection(base=base, fit=both, causes=("quadratic-drag", "coulomb-friction")).with_fits([one, both])
+    base, drag, both = fit_of(QUIET, 0.0), fit_of(DRAG, 100.0), fit_of(BOTH, 140.0)
+    return Selection(base=base, fit=both, causes=("quadratic-drag", "coulomb-friction")).with_fits([drag, both])
 
 
 def chosen(gains: Mapping[int, list[Gain]], *, sure: bool = False) -> Choice:
@@ -53,8 +54,8 @@ def chosen(gains: Mapping[int, list[Gain]], *, sure: bool = False) -> Choice:
     def measure(theta: Theta) -> list[Gain]:
         return gains[len({name.partition(".")[0] for name, _ in theta.causes})]
 
-    found = searched()
-    return choose(candidates_of(found, has_model=False), found.base, measure, sure=sure)
+    selection = searched()
+    return choose(candidates_of(selection, has_model=False), selection.base, measure, sure=sure)
 
 
 @pytest.mark.parametrize("sure", [False, True])
@@ -73,7 +74,7 @@ def test_the_last_model_of_the_search_that_is_better_is_written_instead() -> Non
 
     assert choice.kind == "fewer-causes"
     assert choice.fit is not None
-    assert {name for name, _ in choice.fit.theta.causes} == {name for name, _ in ONE.causes}
+    assert {name for name, _ in choice.fit.theta.causes} == {name for name, _ in DRAG.causes}
     assert choice.gains == (ahead(0.6),)
 
 
@@ -97,6 +98,13 @@ def test_an_error_that_is_surely_larger_is_worse_however_little() -> None:
     assert not worse([ahead(1.01, spread=0.02)])
 
 
+@pytest.mark.parametrize(("floor_m", "is_worse"), [(88e-6, False), (80e-6, True), (math.nan, True)])
+def test_an_error_that_is_noise_alone_is_not_worse(floor_m: float, is_worse: bool) -> None:
+    at_40_ms = replace(ahead(1.035, spread=0.01, ms=40), floor_m=floor_m)
+
+    assert (worse([ahead(1.01), at_40_ms]) is not None) == is_worse
+
+
 def test_without_a_judge_the_model_is_marked() -> None:
     choice = choice_without_judges(searched(), has_model=False)
 
@@ -107,18 +115,18 @@ def test_without_a_judge_the_model_is_marked() -> None:
 def harmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A diagnosis of flights with dry friction, judged by flights without, of a rig whose plant nobody stated."""
     rubbing = strong("coulomb-friction", 3e-3, QUIET)
-    asked = campaign()
-    asked = replace(asked, plant=replace(asked.plant, assumed=True))
+    rig_campaign = campaign()
+    rig_campaign = replace(rig_campaign, plant=replace(rig_campaign.plant, assumed=True))
     records, judges = [steps(rubbing, seed=1, seconds=5.0)], [steps(QUIET, seed=3, use="judge", seconds=5.0)]
-    found = diagnose_records(asked, records, judges, Options(quick=True, workers=1))
+    diagnosis = diagnose_records(rig_campaign, records, judges, Options(quick=True, workers=1))
     result = Diagnosed(
-        verdict=found.verdict,
-        sentence=found.sentence,
-        causes=tuple(cause.name for cause in found.causes),
-        extended=found.extended,
-        warnings=found.warnings,
-        details=found,
-        residuals=summarise(found, controller(), quick=True),
+        verdict=diagnosis.verdict,
+        sentence=diagnosis.sentence,
+        causes=tuple(cause.name for cause in diagnosis.causes),
+        extended=diagnosis.extended,
+        warnings=diagnosis.warnings,
+        details=diagnosis,
+        residuals=summarise(diagnosis, controller(), quick=True),
         where="runs/monday",
     )
     folder = tmp_path_factory.mktemp("harmed")

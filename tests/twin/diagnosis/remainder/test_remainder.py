@@ -69,15 +69,15 @@ def modelled(folder: Path, criterion: Criterion, fit: Fit, candidates: bool = Fa
 def of_wire(tmp_path_factory: pytest.TempPathFactory) -> Remainder:
     folder = tmp_path_factory.mktemp("remainder") / "wire"
     with paper_model(folder, {"wire-spring": STIFFNESS_N_M3}) as (criterion, fit):
-        found = modelled(folder, criterion, fit)
-    assert found is not None
-    return found
+        remainder = modelled(folder, criterion, fit)
+    assert remainder is not None
+    return remainder
 
 
 @pytest.mark.slow
 def test_a_wire_is_a_force_over_the_height(of_wire: Remainder) -> None:
     assert [shape.curve.name for shape in of_wire.shapes] == ["force-over-height"]
-    assert {one.name for one in of_wire.attempts} > {"force-over-height"}
+    assert {attempt.name for attempt in of_wire.attempts} > {"force-over-height"}
 
 
 @pytest.mark.slow
@@ -106,7 +106,7 @@ def test_it_predicts_recordings_that_chose_nothing(of_wire: Remainder) -> None:
 
 
 @pytest.fixture(scope="module")
-def of_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Criterion, Fit]]:
+def clean_campaign(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Criterion, Fit]]:
     """A campaign with nothing hidden, and the paper's model of it."""
     folder: Path = tmp_path_factory.mktemp("nothing")
     with paper_model(folder, {}) as (criterion, fit):
@@ -114,23 +114,23 @@ def of_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path,
 
 
 @pytest.mark.slow
-def test_nothing_hidden_has_no_curve(of_nothing: tuple[Path, Criterion, Fit]) -> None:
-    folder, criterion, fit = of_nothing
+def test_nothing_hidden_has_no_curve(clean_campaign: tuple[Path, Criterion, Fit]) -> None:
+    folder, criterion, fit = clean_campaign
 
-    found = modelled(folder, criterion, fit, candidates=True)
+    remainder = modelled(folder, criterion, fit, candidates=True)
 
-    assert found is not None
-    assert not found.shapes
-    assert not found.proposed
-    assert found.fit is fit
-    assert found.improvement.extended_rmse_m == found.improvement.causes_rmse_m
+    assert remainder is not None
+    assert not remainder.shapes
+    assert not remainder.proposed
+    assert remainder.fit is fit
+    assert remainder.improvement.extended_rmse_m == remainder.improvement.causes_rmse_m
 
 
 @pytest.mark.slow
 def test_what_the_budget_does_not_pay_is_not_begun(
-    of_nothing: tuple[Path, Criterion, Fit], monkeypatch: pytest.MonkeyPatch
+    clean_campaign: tuple[Path, Criterion, Fit], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, criterion, fit = of_nothing
+    _, criterion, fit = clean_campaign
     monkeypatch.setattr(criterion, "whole", Budget(1e6))
 
     with pytest.raises(Spent):
@@ -144,14 +144,14 @@ def test_the_page_s_splines_are_the_kernel_s() -> None:
     c[curve.PULL_OVER_I + 2 : curve.PULL_OVER_I + 2 + len(k)] = k
     at = np.linspace(0.0, 2.0, 33)[:-1]
 
-    own = [curve.value(c, curve.PULL_OVER_I, float(i)) for i in at]
+    expected = [curve.value(c, curve.PULL_OVER_I, float(i)) for i in at]
 
-    np.testing.assert_allclose(basis(at / 2.0) @ k, own, atol=1e-12)
+    np.testing.assert_allclose(basis(at / 2.0) @ k, expected, atol=1e-12)
 
 
 @pytest.mark.slow
-def test_the_regression_has_a_window_for_flights_alone(of_nothing: tuple[Path, Criterion, Fit]) -> None:
-    campaign = load(of_nothing[0])
+def test_the_regression_has_a_window_for_flights_alone(clean_campaign: tuple[Path, Criterion, Fit]) -> None:
+    campaign = load(clean_campaign[0])
     fit, judge = (gather(read_campaign(campaign, use=use), campaign.plant) for use in ("fit", "judge"))
 
     errors = flexible_errors(fit, judge, 10, seed=0)

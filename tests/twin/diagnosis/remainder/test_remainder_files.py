@@ -25,13 +25,13 @@ def test_a_curve_takes_the_place_of_the_names_that_it_replaces_and_its_model_run
 
     code = main(["diagnose", str(folder), "--quick", "--out", str(out), "--quiet"])
 
-    found: dict[str, Any] = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
-    assert (code, found["verdict"]) == (1, "unknown-cause")
-    assert not disagreements(found)
-    assert found["candidates"]
-    assert all(candidate["rival"] is not None for candidate in found["candidates"])
-    assert "a force that depends on the height alone" in found["sentence"]
-    left = found["remainder"]
+    report: dict[str, Any] = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    assert (code, report["verdict"]) == (1, "unknown-cause")
+    assert not disagreements(report)
+    assert report["candidates"]
+    assert all(candidate["rival"] is not None for candidate in report["candidates"])
+    assert "a force that depends on the height alone" in report["sentence"]
+    left = report["remainder"]
     assert left["judge"]["extended_rmse_m"] <= left["judge"]["causes_rmse_m"]
     assert left["judge"]["extended_rmse_m"] < 1.05 * left["judge"]["noise_floor_m"]
     (curve,) = left["curves"]

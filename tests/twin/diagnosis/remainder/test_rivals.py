@@ -37,9 +37,9 @@ def rivals(
 
 @pytest.mark.slow
 def test_a_sensor_error_for_a_spring_falls(tmp_path: Path) -> None:
-    found = rivals(tmp_path, "position-sensor-nonlinearity", plant="independent", outside={"spring-of-a-cable": 4.0})
+    results = rivals(tmp_path, "position-sensor-nonlinearity", plant="independent", outside={"spring-of-a-cable": 4.0})
 
-    rival = found["position-sensor-nonlinearity"]
+    rival = results["position-sensor-nonlinearity"]
     assert rival.curve.name == "force-over-height"
     assert rival.lead > 100.0
     assert rival.is_sole

@@ -14,10 +14,10 @@ from twin.inference.budget import Budget
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
 
-FOUND = diagnosis("air-gap-offset", 5e-4)
+GAP_DIAGNOSIS = diagnosis("air-gap-offset", 5e-4)
 UNKNOWN = diagnosis("air-gap-offset", 5e-4, extended=False, quick=True)
-GAP = replace(FOUND.causes[0], indistinguishable_from=(), next_experiment=None)
-FOUND = replace(FOUND, causes=(GAP,))
+GAP = replace(GAP_DIAGNOSIS.causes[0], indistinguishable_from=(), next_experiment=None)
+GAP_DIAGNOSIS = replace(GAP_DIAGNOSIS, causes=(GAP,))
 
 
 def headline(result: Diagnosis, *, blind: bool = False, off: str = "") -> str:
@@ -32,11 +32,11 @@ def with_class(member: str, experiment: str = "") -> Diagnosis:
     members = (Member(name=member, parameters={}, sentence="the ball weighs 6 % more than the campaign says"),)
     command = f"board51 campaign run FOLDER --experiment {experiment}" if experiment else ""
     proposal = Proposal(what="", separation_z=5.0, command=command, experiments=((experiment, {member: 5.0}),))
-    return replace(FOUND, causes=(replace(GAP, indistinguishable_from=members, next_experiment=proposal),))
+    return replace(GAP_DIAGNOSIS, causes=(replace(GAP, indistinguishable_from=members, next_experiment=proposal),))
 
 
 def test_one_cause_is_a_size_and_a_cure() -> None:
-    assert headline(FOUND) == (
+    assert headline(GAP_DIAGNOSIS) == (
         "The coil sits 0.500 mm higher than in the model. "
         "Remedy: x_max + d in place of x_max, in the model and in the design."
     )
@@ -61,7 +61,7 @@ def test_a_stated_value_that_may_be_wrong_is_to_be_measured() -> None:
 def test_several_causes_are_listed() -> None:
     drag = replace(GAP, name="quadratic-drag", share_of_excess_explained=0.1)
 
-    text = headline(replace(FOUND, causes=(drag, GAP)))
+    text = headline(replace(GAP_DIAGNOSIS, causes=(drag, GAP)))
 
     assert text == (
         "Two causes act: quadratic-drag and air-gap-offset. "
@@ -70,7 +70,7 @@ def test_several_causes_are_listed() -> None:
 
 
 def test_a_part_is_not_told_as_the_whole() -> None:
-    partly = replace(FOUND, verdict="partly-explained", causes=(replace(GAP, confidence=0.99),))
+    partly = replace(GAP_DIAGNOSIS, verdict="partly-explained", causes=(replace(GAP, confidence=0.99),))
 
     assert "but not everything is explained." in headline(partly)
 
@@ -94,7 +94,7 @@ def test_an_adequate_model_needs_nothing() -> None:
 
 
 def test_an_unfinished_search_says_so() -> None:
-    text = headline(replace(FOUND, verdict="unfinished", budget=Budget()))
+    text = headline(replace(GAP_DIAGNOSIS, verdict="unfinished", budget=Budget()))
 
     assert text == "No answer yet: the search used up its budget. So far it points to air-gap-offset."
 
@@ -103,4 +103,4 @@ def test_an_unfinished_search_says_so() -> None:
 def test_the_headline_of_every_cause_is_short(cause: Cause) -> None:
     parameters = {known.name: replace(next(iter(GAP.parameters.values())), value=0.0123) for known in cause.parameters}
 
-    headline(replace(FOUND, causes=(replace(GAP, name=cause.name, parameters=parameters),)))
+    headline(replace(GAP_DIAGNOSIS, causes=(replace(GAP, name=cause.name, parameters=parameters),)))

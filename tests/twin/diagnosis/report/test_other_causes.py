@@ -28,13 +28,13 @@ def test_what_is_a_hundredth_of_another_cause_is_listed_with_its_size_and_not_ru
     growth = 2.4  # of T_A at the upper stop; the catalogue counts it in the middle of the travel
     make_campaign(tmp_path / "two", effects={"slew-rate-limit": 70.0, INDUCTANCE: growth}, seed=41, plant="emulator")
 
-    found = diagnose(load(tmp_path / "two"), Options(workers=2))
+    diagnosis = diagnose(load(tmp_path / "two"), Options(workers=2))
 
-    assert [cause.name for cause in found.causes] == ["slew-rate-limit"]
-    assert [one.name for one in found.minor_effects] == [INDUCTANCE]
-    assert found.minor_effects[0].loglik_gain < 0.015 * found.causes[0].loglik_gain
-    assert INDUCTANCE not in {one.name for one in found.ruled_out}
-    size = found.minor_effects[0].parameters["growth"]
+    assert [cause.name for cause in diagnosis.causes] == ["slew-rate-limit"]
+    assert [effect.name for effect in diagnosis.minor_effects] == [INDUCTANCE]
+    assert diagnosis.minor_effects[0].loglik_gain < 0.015 * diagnosis.causes[0].loglik_gain
+    assert INDUCTANCE not in {effect.name for effect in diagnosis.ruled_out}
+    size = diagnosis.minor_effects[0].parameters["growth"]
     assert size.ci95 is not None
     bottom, middle, top = 8.1e-3, 5.25e-3, 2.4e-3
     truth = growth * (1 / middle - 1 / bottom) / (1 / top - 1 / bottom)
@@ -47,31 +47,34 @@ def refused() -> Iterator[tuple[Criterion, Selection]]:
     rig = strong("position-sensor-lag", 2e-3, strong("constant-force", 2e-3))
     criterion = criterion_of(narrow(rig))
     base = fitted(criterion, THETA)
-    one = fitted(criterion, strong("constant-force", 2e-3), "constant-force")
+    fit = fitted(criterion, strong("constant-force", 2e-3), "constant-force")
     both = fitted(criterion, rig, "constant-force", "position-sensor-lag")
-    trial = Trial(cause="position-sensor-lag", fit=replace(both, converged=True), gain=both.loglik - one.loglik)
+    trial = Trial(cause="position-sensor-lag", fit=replace(both, converged=True), gain=both.loglik - fit.loglik)
     last = Round(scores=(), trials=(trial,), selected="")
-    found = Selection(base=base, fit=one, causes=("constant-force",), gains={"constant-force": 1.0}, rounds=(last,))
-    yield criterion, found
+    selection = Selection(base=base, fit=fit, causes=("constant-force",), gains={"constant-force": 1.0}, rounds=(last,))
+    yield criterion, selection
     criterion.close()
 
 
 def test_what_chance_makes_what_is_confounded_and_what_belongs_to_another_model_are_no_minor_effects(
     refused: tuple[Criterion, Selection],
 ) -> None:
-    criterion, found = refused
-    trial = found.rounds[-1].trials[0]
+    criterion, selection = refused
+    trial = selection.rounds[-1].trials[0]
 
     def listed(**changes: object) -> list[str]:
-        return [one.name for one in minor_effects_of(criterion, replace(found, **changes))]  # type: ignore[arg-type]  # one helper
+        return [effect.name for effect in minor_effects_of(criterion, replace(selection, **changes))]  # type: ignore[arg-type]  # one helper
 
     def after(last: Round) -> tuple[Round, ...]:
         return (last,)
 
     assert trial.gain > 2.0 * settings.MIN_GAIN
     assert listed() == ["position-sensor-lag"]
-    assert listed(rounds=after(replace(found.rounds[-1], selected="position-sensor-lag"))) == []
-    assert listed(rounds=after(replace(found.rounds[-1], trials=(replace(trial, gain=0.9 * settings.MIN_GAIN),)))) == []
+    assert listed(rounds=after(replace(selection.rounds[-1], selected="position-sensor-lag"))) == []
+    assert (
+        listed(rounds=after(replace(selection.rounds[-1], trials=(replace(trial, gain=0.9 * settings.MIN_GAIN),))))
+        == []
+    )
     assert listed(classes={"constant-force": (trial,)}) == []
     assert listed(causes=["air-gap-offset"]) == []
     assert listed(rounds=[]) == []

@@ -33,19 +33,19 @@ pytestmark = pytest.mark.xdist_group("diagnosis-page")  # the pages that several
 PICTURE = "data:image/svg+xml;base64,"
 
 
-def page(found: Diagnosis) -> str:
-    summary = summarise(found, controller(), quick=found.quick)
-    return to_html(found, summary, campaign=Path("runs/monday"), out=Path("diagnosis"))
+def page(result: Diagnosis) -> str:
+    summary = summarise(result, controller(), quick=result.quick)
+    return to_html(result, summary, campaign=Path("runs/monday"), out=Path("diagnosis"))
 
 
 @cache
-def found_gap() -> Diagnosis:
+def gap_diagnosis() -> Diagnosis:
     return diagnosis("air-gap-offset", 5e-4)
 
 
 @cache
 def gap_page() -> str:
-    return page(found_gap())
+    return page(gap_diagnosis())
 
 
 @cache
@@ -55,22 +55,22 @@ def unknown() -> Diagnosis:
 
 @cache
 def quick_gap_page() -> str:
-    return quick_page(found_gap())
+    return quick_page(gap_diagnosis())
 
 
-def quick_page(found: Diagnosis) -> str:
+def quick_page(result: Diagnosis) -> str:
     """With few of the figures."""
-    return page(replace(found, quick=True))
+    return page(replace(result, quick=True))
 
 
-def words_of(found: Diagnosis) -> str:
+def words_of(result: Diagnosis) -> str:
     """The words of its page, made without the figures of its errors."""
-    return words_beside(found, summarise(found, controller(), quick=True))
+    return summary_words(result, summarise(result, controller(), quick=True))
 
 
-def words_beside(found: Diagnosis, summary: Summary) -> str:
+def summary_words(result: Diagnosis, summary: Summary) -> str:
     bare = replace(summary, ahead=summary.ahead[:1], piece=None, spectrum=None, regimes=(), force=(), current=())
-    return text_of(to_html(replace(found, quick=True), bare, campaign=Path("runs/monday"), out=Path("diagnosis")))
+    return text_of(to_html(replace(result, quick=True), bare, campaign=Path("runs/monday"), out=Path("diagnosis")))
 
 
 def text_of(html: str) -> str:
@@ -122,14 +122,14 @@ def test_every_part_of_the_argument_is_there() -> None:
 
 
 def test_what_is_too_small_to_be_named_is_listed_with_its_size_and_where_it_shows() -> None:
-    found = found_gap()
+    result = gap_diagnosis()
     parameters = {
         "c_n_s2_m2": Parameter(value=0.2, unit="N s^2/m^2", ci95=(0.15, 0.25)),
         "power": Parameter(value=2.0, unit=""),
     }
     small = MinorEffect(name="quadratic-drag", parameters=parameters, loglik_gain=31.4)
 
-    text = words_of(replace(found, minor_effects=(small,)))
+    text = words_of(replace(result, minor_effects=(small,)))
     listed = text[text.index("too small to be named") : text.index("Larger effects than the stated size are ruled out")]
 
     for part in ("quadratic-drag", "c = 0.20 N s^2/m^2", "31", *BY_NAME["quadratic-drag"].shows_in):
@@ -138,38 +138,38 @@ def test_what_is_too_small_to_be_named_is_listed_with_its_size_and_where_it_show
 
 
 def test_a_pair_that_no_experiment_separates_has_no_command() -> None:
-    found = found_gap()
+    result = gap_diagnosis()
     why = "air-gap-offset and position-sensor-gain: no experiment on this rig separates them; a shim would"
-    (cause,) = found.causes
-    found = replace(found, causes=(replace(cause, next_experiment=Proposal(what=why, separation_z=0.3)),))
+    (cause,) = result.causes
+    result = replace(result, causes=(replace(cause, next_experiment=Proposal(what=why, separation_z=0.3)),))
 
-    text = words_of(found)
+    text = words_of(result)
 
     assert "a shim would" in text
     assert "Next experiment" not in text
 
 
 def test_a_stated_value_is_listed_with_its_size_and_how_to_check_it() -> None:
-    found = found_gap()
-    (cause,) = found.causes
+    result = gap_diagnosis()
+    (cause,) = result.causes
     error = {"error": Parameter(value=0.0199, unit="", ci95=(0.0185, 0.0213))}
     sentence = cause_sentence("stated-clock", error)
     clock = Member(name="stated-clock", parameters=error, sentence=sentence)
-    found = replace(found, causes=(replace(cause, indistinguishable_from=(clock,), next_experiment=None),))
+    result = replace(result, causes=(replace(cause, indistinguishable_from=(clock,), next_experiment=None),))
 
-    text = words_of(found).replace("&#39;", "'")
-    (alternative,) = to_json(found)["causes"][0]["alternatives"]
+    text = words_of(result).replace("&#39;", "'")
+    (alternative,) = to_json(result)["causes"][0]["alternatives"]
 
     assert sentence == "the board's clock is 1.99 % slow"
-    assert "would explain this instead of air-gap-offset: the board's clock is 1.99 % slow." in summary_sentence(found)
+    assert "would explain this instead of air-gap-offset: the board's clock is 1.99 % slow." in summary_sentence(result)
     assert "The board's clock is 1.99 % slow. Compare ten minutes of the board's ticks" in text
     assert "No other cause of the catalogue explains these recordings as well" in text
     assert alternative["stated"]
     assert alternative["sentence"] == sentence
     assert alternative["confirm"] == BY_NAME["stated-clock"].confirm
     better = replace(clock, lead=20.0)
-    found = replace(found, causes=(replace(cause, indistinguishable_from=(better,)),))
-    assert "would explain this, and better than air-gap-offset" in summary_sentence(found)
+    result = replace(result, causes=(replace(cause, indistinguishable_from=(better,)),))
+    assert "would explain this, and better than air-gap-offset" in summary_sentence(result)
 
 
 def test_an_unknown_cause_says_how_much_is_left_and_where() -> None:
@@ -181,9 +181,11 @@ def test_an_unknown_cause_says_how_much_is_left_and_where() -> None:
 
 
 def test_names_beside_an_unknown_cause_are_said_to_be_confounders() -> None:
-    found = replace(found_gap(), verdict="unknown-cause", unexplained_where="at rest: the model needs a stop elsewhere")
+    result = replace(
+        gap_diagnosis(), verdict="unknown-cause", unexplained_where="at rest: the model needs a stop elsewhere"
+    )
 
-    text = summary_sentence(found)
+    text = summary_sentence(result)
 
     assert text.startswith("The model is wrong, and the known causes do not explain all of it.")
     assert "may only imitate an unknown cause: the coil sits" in text
@@ -191,11 +193,11 @@ def test_names_beside_an_unknown_cause_are_said_to_be_confounders() -> None:
 
 
 def test_an_adequate_model_says_so_and_shows_one_model() -> None:
-    found = unknown()
-    found = replace(found, verdict="model-adequate", account=replace(found.account, unexplained=0.0))
-    found = replace(found, sentence=summary_sentence(found))
+    result = unknown()
+    result = replace(result, verdict="model-adequate", account=replace(result.account, unexplained=0.0))
+    result = replace(result, sentence=summary_sentence(result))
 
-    html = page(found)
+    html = page(result)
 
     assert "The model is adequate" in html
     assert "These errors got larger" not in html
@@ -205,7 +207,7 @@ def test_an_adequate_model_says_so_and_shows_one_model() -> None:
 
 @cache
 def summary_of_gap() -> Summary:
-    return summarise(found_gap(), controller())
+    return summarise(gap_diagnosis(), controller())
 
 
 def with_chances(**chances: float) -> str:
@@ -214,7 +216,7 @@ def with_chances(**chances: float) -> str:
     assert isinstance(summary.steps, Steps)
     rows = [replace(row, chance=chances.get(row.name, 0.9), ci95=(1e-4, 2e-3)) for _, row in summary.steps.figures]
     figures = tuple(zip([first for first, _ in summary.steps.figures], together(rows), strict=True))
-    return words_beside(found_gap(), replace(summary, steps=replace(summary.steps, figures=figures)))
+    return summary_words(gap_diagnosis(), replace(summary, steps=replace(summary.steps, figures=figures)))
 
 
 def test_a_step_figure_that_just_misses_is_no_contradiction_of_nothing_left() -> None:
@@ -236,10 +238,10 @@ def test_a_step_figure_that_surely_differs_is_said_where_what_is_left_is_told() 
 
 def test_a_chart_of_one_point_is_a_sentence() -> None:
     summary = summary_of_gap()
-    first, *others = summary.force
-    summary = replace(summary, force=(replace(first, points=first.points[:1]), *others), ahead=summary.ahead[:1])
+    first, *rest = summary.force
+    summary = replace(summary, force=(replace(first, points=first.points[:1]), *rest), ahead=summary.ahead[:1])
 
-    html = to_html(found_gap(), summary, campaign=Path("runs/monday"), out=Path("diagnosis"))
+    html = to_html(gap_diagnosis(), summary, campaign=Path("runs/monday"), out=Path("diagnosis"))
 
     assert html.count(PICTURE) == gap_page().count(PICTURE) - 2
     assert f"over {first.title}: one group alone" in text_of(html)
@@ -274,11 +276,11 @@ def test_quick_says_that_it_is_not_calibrated_and_draws_less() -> None:
 
 
 def test_without_judge_recordings_the_page_says_that_errors_flatter() -> None:
-    assert "they are too small" in words_of(diagnosis("air-gap-offset", 5e-4, judged=False, quick=True))
+    assert "they are too small" in words_of(diagnosis("air-gap-offset", 5e-4, has_judges=False, quick=True))
 
 
 def test_the_same_diagnosis_gives_the_same_bytes() -> None:
-    assert quick_page(found_gap()) == quick_gap_page()
+    assert quick_page(gap_diagnosis()) == quick_gap_page()
 
 
 @pytest.mark.parametrize(
@@ -296,13 +298,13 @@ def test_a_group_of_errors_is_drawn_with_its_name(label: str, drawn: str) -> Non
 
 
 def test_names_of_files_cannot_break_the_page() -> None:
-    found = found_gap()
-    record = replace(found.fit_evidence.records[0], name="<script>x</script>")
-    usages = found.fit_evidence.usages
+    result = gap_diagnosis()
+    record = replace(result.fit_evidence.records[0], name="<script>x</script>")
+    usages = result.fit_evidence.usages
     usages[0].name = record.name
-    evidence = replace(found.fit_evidence, records=(record,))
+    evidence = replace(result.fit_evidence, records=(record,))
 
-    html = quick_page(replace(found, fit_evidence=evidence, warnings=("<b>",)))
+    html = quick_page(replace(result, fit_evidence=evidence, warnings=("<b>",)))
 
     usages[0].name = "steps_1"
     assert "<script>" not in html
@@ -342,8 +344,8 @@ def test_a_sentence_says_how_far_an_offset_wanders() -> None:
     assert "wanders by 39 mA in a minute" in finding_sentence(
         "current-sensor-offset", {"offset_a": offset, "wander_a": wander}
     )
-    still = replace(wander, value=0.001)
-    assert "wanders" not in finding_sentence("current-sensor-offset", {"offset_a": offset, "wander_a": still})
+    steady = replace(wander, value=0.001)
+    assert "wanders" not in finding_sentence("current-sensor-offset", {"offset_a": offset, "wander_a": steady})
 
 
 def test_numbers_have_the_digits_that_their_interval_leaves() -> None:
@@ -355,10 +357,10 @@ def test_numbers_have_the_digits_that_their_interval_leaves() -> None:
 
 def test_rounds_are_numbered_without_those_that_scored_nothing() -> None:
     """The second name of a pair has a round without scores, and no figure."""
-    found = found_gap()
-    (first,) = found.selection.rounds
+    result = gap_diagnosis()
+    (first,) = result.selection.rounds
     rounds = (first, replace(first, scores=()), first)
 
-    html = quick_page(replace(found, selection=replace(found.selection, rounds=rounds)))
+    html = quick_page(replace(result, selection=replace(result.selection, rounds=rounds)))
 
     assert set(re.findall(r"Round (\d+):", html)) == {"1", "2"}

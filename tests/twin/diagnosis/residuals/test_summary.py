@@ -35,18 +35,18 @@ def with_drag() -> Summary:
 
 def curve(show: Summary, name: str) -> dict[float, tuple[float, float]]:
     """Of baseline and extended by place, N."""
-    found = next(one for one in show.force if one.name == name)
-    return {point.at: (point.baseline.value, point.extended.value) for point in found.points}
+    profile = next(entry for entry in show.force if entry.name == name)
+    return {point.at: (point.baseline.value, point.extended.value) for point in profile.points}
 
 
 def spread(show: Summary, name: str) -> dict[float, float]:
     """Standard error of the baseline's by place, N, from its 95 % interval."""
-    found = next(one for one in show.force if one.name == name)
-    return {point.at: (point.baseline.high - point.baseline.low) / (2.0 * 1.96) for point in found.points}
+    profile = next(entry for entry in show.force if entry.name == name)
+    return {point.at: (point.baseline.high - point.baseline.low) / (2.0 * 1.96) for point in profile.points}
 
 
 def test_the_extended_model_is_at_the_noise_floor_and_the_baseline_far_above() -> None:
-    at_20 = next(one for one in with_gap().ahead if abs(one.horizon_s - 0.02) < 1e-3)
+    at_20 = next(entry for entry in with_gap().ahead if abs(entry.horizon_s - 0.02) < 1e-3)
 
     assert at_20.baseline.low > 3.0 * at_20.floor_m
     assert at_20.extended.value == pytest.approx(at_20.floor_m, rel=0.15)
@@ -73,9 +73,9 @@ def test_the_missing_force_of_quadratic_drag_follows_the_square_of_the_speed() -
     assert any(v > 0.0 for v, _ in fast)
     for v, before in fast:
         # A group's mean of v |v| lies above the square of its mean speed, at most twice for a group down from 0.
-        drag, most = -before * math.copysign(1.0, v), 4.0 * error[v]
-        assert 2.0 * v * v - most < drag < 4.0 * v * v + most
-        assert drag > 2.0 * most, "more than noise"
+        drag, margin = -before * math.copysign(1.0, v), 4.0 * error[v]
+        assert 2.0 * v * v - margin < drag < 4.0 * v * v + margin
+        assert drag > 2.0 * margin, "more than noise"
     assert max(abs(after) for _, after in points.values()) < 2e-4  # near standstill, where the loop answers noise
 
 
@@ -94,8 +94,8 @@ def test_a_right_model_leaves_no_force_however_fast_the_ball_moves() -> None:
 
 
 def test_a_late_amplifier_leaves_no_force() -> None:
-    late = strong("actuation-delay", 8e-4, QUIET)
-    evidence = gather([steps(late, seed=6, seconds=8.0)], PLANT)
+    delayed = strong("actuation-delay", 8e-4, QUIET)
+    evidence = gather([steps(delayed, seed=6, seconds=8.0)], PLANT)
 
     force = filtered(evidence, QUIET, PLANT, TICK_S).force_n
 
@@ -109,7 +109,7 @@ def test_the_rig_with_a_slow_sensor_is_late_and_the_extended_simulation_as_late(
     result = step_responses([record], QUIET, rig, FLOOR, PLANT, controller(), TICK_S)
 
     assert isinstance(result, Steps)
-    before, after = (float(np.sqrt(np.mean((result.rig - own) ** 2))) for own in (result.baseline, result.extended))
+    before, after = (float(np.sqrt(np.mean((result.rig - model) ** 2))) for model in (result.baseline, result.extended))
     # What is left is noise of rig and simulation over the steps, in shares of a step of 1.8 mm.
     assert after < 4.0 * QUIET.sigma_x_m * math.sqrt(2.0 / result.count) / 1.8e-3
     assert before > 3.0 * after
@@ -125,15 +125,15 @@ def test_a_campaign_without_a_controller_says_why_there_are_no_steps() -> None:
 
 
 def test_errors_by_position_grow_with_the_distance_from_where_the_laws_agree() -> None:
-    position = next(one for one in with_gap().regimes if one.name == "position")
+    position = next(entry for entry in with_gap().regimes if entry.name == "position")
 
     assert len(position.bins) >= 2
     assert not with_gap().worse()
-    assert all(one.baseline.low > one.extended.high for one in position.bins)
+    assert all(entry.baseline.low > entry.extended.high for entry in position.bins)
 
 
 def test_without_judge_recordings_the_errors_are_said_to_be_of_the_fit() -> None:
-    show = summarise(diagnosis("air-gap-offset", GAP_M, judged=False), controller(), quick=True)
+    show = summarise(diagnosis("air-gap-offset", GAP_M, has_judges=False), controller(), quick=True)
 
     assert not show.from_judges
     assert show.ahead
@@ -149,7 +149,7 @@ def test_a_model_that_is_worse_is_said_to_be_worse() -> None:
 
     bins = error_bins(noise, labels, ["early", "late"], np.arange(5000.0), blocks_of(recording, TICK_S, 0))
 
-    assert holm([one.chance for one in bins]) == [True, False]
+    assert holm([error_bin.chance for error_bin in bins]) == [True, False]
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
@@ -159,8 +159,8 @@ def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
     covered = 0
     for _ in range(200):
         errors = np.tile(rng.standard_normal(10_000), (2, 1))
-        (one,) = error_bins(errors, labels, ["all"], labels.astype(float), blocks)
-        covered += one.baseline.low <= 1.0 <= one.baseline.high
+        (error_bin,) = error_bins(errors, labels, ["all"], labels.astype(float), blocks)
+        covered += error_bin.baseline.low <= 1.0 <= error_bin.baseline.high
     # 40 blocks: the percentile interval of a root mean square covers some 93 %; 200 trials: sd 1.8 %.
     assert covered / 200 > 0.93 - 3 * 0.018
 
@@ -171,17 +171,17 @@ def test_white_noise_has_a_flat_spectrum_at_its_floor_and_a_line_stands_out() ->
     white = rng.standard_normal(20_000) * 2e-6
     errors = np.array([white + 3e-6 * np.sin(2 * np.pi * 40.0 * t), white])
 
-    found = spectrum(errors, 2e-6, TICK_S)
+    result = spectrum(errors, 2e-6, TICK_S)
 
-    assert found is not None
-    assert np.median(found.extended) == pytest.approx(found.floor, rel=0.05)
-    assert found.frequency_hz[int(np.argmax(found.baseline))] == pytest.approx(40.0)
+    assert result is not None
+    assert np.median(result.extended) == pytest.approx(result.floor, rel=0.05)
+    assert result.frequency_hz[int(np.argmax(result.baseline))] == pytest.approx(40.0)
 
 
 def test_the_numbers_are_json_and_the_same_every_time() -> None:
-    found = diagnosis("air-gap-offset", GAP_M, seconds=6.0)
+    result = diagnosis("air-gap-offset", GAP_M, seconds=6.0)
 
-    texts = [json.dumps(to_dict(summarise(found, controller())), allow_nan=False) for _ in range(2)]
+    texts = [json.dumps(to_dict(summarise(result, controller())), allow_nan=False) for _ in range(2)]
 
     assert texts[0] == texts[1]
     assert {"ahead", "regimes", "force", "current", "spectrum", "steps", "judged"} <= json.loads(texts[0]).keys()

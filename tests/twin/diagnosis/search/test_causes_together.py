@@ -49,13 +49,13 @@ def test_causes_that_hide_each_other_are_selected_together_or_not_at_all(
         base = climb(criterion, start, (*BASE, *STOPS))
         floor = floor_of(criterion, base.theta)
         task = Search(criterion=criterion, floor=floor, candidates=TRIED)
-        one = search.select(replace(task, candidates=(TRIED[1], TRIED[2])), base, classes=False)
+        single = search.select(replace(task, candidates=(TRIED[1], TRIED[2])), base, classes=False)
         both = search.select(replace(task, quick=True), base, classes=False)
         right = floor.under(criterion, both.fit.theta)
     finally:
         criterion.close()
 
-    assert one.causes == ()  # the other is not among the candidates: no pair explains nearly all
+    assert single.causes == ()  # the other is not among the candidates: no pair explains nearly all
     assert set(both.causes) == set(HIDDEN)
     assert [(step.selected, step.partner) for step in both.rounds[:2]] == [both.causes, both.causes[::-1]]
     assert round_sentence(both.rounds[0]).startswith(f"together with {both.causes[1]}, log-likelihood +")
@@ -80,14 +80,14 @@ def test_one_cause_takes_the_place_of_two_that_are_confounded_with_it(tmp_path: 
         emf, magnetism = BY_NAME["motional-emf"], BY_NAME["residual-magnetism"]
         task = trusting(criterion, base, emf)
         unmoved = find_classes(task, at_first)
-        found = find_classes(replace(task, candidates=(*TRIED, magnetism)), at_first)
+        exchanged = find_classes(replace(task, candidates=(*TRIED, magnetism)), at_first)
     finally:
         criterion.close()
 
     assert unmoved.causes == three
-    assert set(found.causes) == set(found.gains) == set(HIDDEN)
-    assert found.fit.loglik > fit.loglik - settings.EQUIVALENT_GAIN
-    assert found.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
+    assert set(exchanged.causes) == set(exchanged.gains) == set(HIDDEN)
+    assert exchanged.fit.loglik > fit.loglik - settings.EQUIVALENT_GAIN
+    assert exchanged.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
 
 
 @pytest.mark.slow
@@ -107,13 +107,13 @@ def test_a_cause_that_only_led_another_to_a_higher_maximum_is_removed() -> None:
         both = fitted(criterion, strong("coulomb-friction", 3e-3, base.theta), "coulomb-friction", "constant-force")
         causes = ("coulomb-friction", "constant-force")
         at_first = Selection(base=base, fit=both, causes=causes, gains=dict.fromkeys(causes, 1.0)).with_fits([stuck])
-        found = search.backward(trusting(criterion, base, BY_NAME["constant-force"]), at_first)
+        reduced = search.backward(trusting(criterion, base, BY_NAME["constant-force"]), at_first)
     finally:
         criterion.close()
 
-    assert found.causes == ("coulomb-friction",)
+    assert reduced.causes == ("coulomb-friction",)
     # The likelihood of dry friction has kinks, at which the climb with both may end below that with one.
-    assert found.fit.loglik > both.loglik - settings.MIN_GAIN
+    assert reduced.fit.loglik > both.loglik - settings.MIN_GAIN
     assert both.loglik - stuck.loglik > 10.0 * settings.MIN_GAIN
 
 
@@ -123,12 +123,12 @@ def test_a_dead_zone_begins_with_the_size_of_the_offset_that_it_may_stand_for() 
     rig = strong(offset.name, -0.0611)
     criterion = criterion_of(narrow(rig, seconds=4.0))
     try:
-        there = substitute_start(criterion, rig, offset, zone)
-        back = substitute_start(criterion, there, zone, offset)
+        zone_start = substitute_start(criterion, rig, offset, zone)
+        back = substitute_start(criterion, zone_start, zone, offset)
     finally:
         criterion.close()
 
-    assert there.value("amplifier-dead-zone.width_v") == pytest.approx(0.0611 / rig.K_A)
+    assert zone_start.value("amplifier-dead-zone.width_v") == pytest.approx(0.0611 / rig.K_A)
     assert back.value("amplifier-offset.offset_a") == pytest.approx(-0.0611)
 
 
@@ -149,12 +149,12 @@ def test_what_was_refused_beside_a_confounder_is_asked_again_beside_the_right_ca
         start = with_noise_bounds(start_theta(records, campaign.plant), criterion.evidence)
         base = climb(criterion, start, (*BASE, *STOPS))
         task = Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=tried)
-        found = search.select(task, base)
+        selection = search.select(task, base)
     finally:
         criterion.close()
 
-    assert [step.selected for step in found.rounds][:3] == ["position-sensor-lag", "periodic-disturbance", ""]
-    assert set(found.causes) == set(found.gains) == set(found.classes) == set(hidden)
+    assert [step.selected for step in selection.rounds][:3] == ["position-sensor-lag", "periodic-disturbance", ""]
+    assert set(selection.causes) == set(selection.gains) == set(selection.classes) == set(hidden)
 
 
 def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,10 +187,10 @@ def test_dry_friction_is_climbed_to_from_a_wrong_model() -> None:
     criterion = criterion_of(narrow(rig, seconds=3.0))
     try:
         base = fitted(criterion, THETA)
-        found = fitted(criterion, strong("coulomb-friction", 1e-3, base.theta), "coulomb-friction")
+        fit = fitted(criterion, strong("coulomb-friction", 1e-3, base.theta), "coulomb-friction")
     finally:
         criterion.close()
 
-    at_rest = found.theta.value("coulomb-friction.force_n") * (1.0 + found.theta.value("coulomb-friction.extra"))
+    at_rest = fit.theta.value("coulomb-friction.force_n") * (1.0 + fit.theta.value("coulomb-friction.extra"))
     assert at_rest == pytest.approx(4e-3, rel=0.02)  # so narrow a motion leaves open how it changes with the speed
-    assert found.theta.process_a_m_s2 < 0.1 * base.theta.process_a_m_s2
+    assert fit.theta.process_a_m_s2 < 0.1 * base.theta.process_a_m_s2

@@ -46,16 +46,16 @@ def test_a_cause_that_turns_out_to_explain_nothing_is_dropped() -> None:
     criterion = criterion_of(narrow(rig, seconds=3.0))
     try:
         base = fitted(criterion, THETA)
-        found = selection(base, fitted(criterion, strong(DRAG, 0.1, rig), GAP, DRAG), GAP, DRAG)
-        before = found.fit.loglik
-        found = find_classes(trusting(criterion, base, BY_NAME[FORCE]), found)
+        selected = selection(base, fitted(criterion, strong(DRAG, 0.1, rig), GAP, DRAG), GAP, DRAG)
+        before = selected.fit.loglik
+        selected = find_classes(trusting(criterion, base, BY_NAME[FORCE]), selected)
     finally:
         criterion.close()
 
-    assert found.causes == (GAP,)
-    assert set(found.gains) == {GAP}
-    assert found.fit.free == (*BASE, *coordinates_of(GAP))
-    assert found.fit.loglik > before - settings.MIN_GAIN
+    assert selected.causes == (GAP,)
+    assert set(selected.gains) == {GAP}
+    assert selected.fit.free == (*BASE, *coordinates_of(GAP))
+    assert selected.fit.loglik > before - settings.MIN_GAIN
 
 
 @pytest.mark.slow
@@ -79,20 +79,20 @@ def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_
         at_first = selection(base, false, FRICTION, FORCE)
         spared = find_classes(trusting(criterion, base, BY_NAME[MAGNETISM]), at_first)
         task = Search(criterion=criterion, floor=floor, candidates=(BY_NAME[MAGNETISM],), max_candidates=3)
-        asked = find_classes(task, at_first)
+        exchanged = find_classes(task, at_first)
     finally:
         criterion.close()
 
     assert doubtful
     assert true.loglik - rubs.loglik > 50.0 * scores[MAGNETISM].gain
     assert MAGNETISM not in spared.causes
-    assert asked.causes == (FRICTION, MAGNETISM)
+    assert exchanged.causes == (FRICTION, MAGNETISM)
     # The likelihood of dry friction has kinks, at which a climb may end.
-    assert asked.fit.loglik > true.loglik - 0.02 * (true.loglik - rubs.loglik)
-    place = asked.fit.free.index("residual-magnetism.i_r_a")
-    error = math.sqrt(asked.fit.covariance[place, place])
+    assert exchanged.fit.loglik > true.loglik - 0.02 * (true.loglik - rubs.loglik)
+    index = exchanged.fit.free.index("residual-magnetism.i_r_a")
+    error = math.sqrt(exchanged.fit.covariance[index, index])
     assert 0.0 < error < 0.01
-    assert asked.fit.theta.value("residual-magnetism.i_r_a") == pytest.approx(0.04, abs=error)
+    assert exchanged.fit.theta.value("residual-magnetism.i_r_a") == pytest.approx(0.04, abs=error)
 
 
 def test_a_candidate_starts_with_the_numbers_of_the_causes_that_stood_in_for_it() -> None:
@@ -120,10 +120,10 @@ def test_quick_gives_the_first_of_two_causes_the_place_of_one_that_explains_more
     """Alone, a bent force law takes up some of the friction; beside the friction the plain gap is better."""
     make_campaign(tmp_path, effects={FRICTION: 3e-3}, seed=41, plant="emulator", quick=True, x_max="travel")
 
-    found = diagnose(load(tmp_path), Options(quick=True))
+    diagnosis = diagnose(load(tmp_path), Options(quick=True))
 
-    assert [cause.name for cause in found.causes] == [GAP, FRICTION]
-    friction = found.causes[1].parameters["force_n"]
+    assert [cause.name for cause in diagnosis.causes] == [GAP, FRICTION]
+    friction = diagnosis.causes[1].parameters["force_n"]
     assert friction.std is not None
     assert abs(friction.value - 3e-3) < 3.0 * friction.std
 

@@ -24,34 +24,34 @@ DELAYS = [BY_NAME[name] for name in ("actuation-delay", "sampling-delay", "eddy-
 
 
 @pytest.fixture(scope="module")
-def late() -> list[Record]:
+def delayed_records() -> list[Record]:
     return narrow(strong("actuation-delay", DELAY_S, FAST), seconds=3.0)
 
 
-def test_steps_show_the_delay_and_the_time_constant_together(late: list[Record]) -> None:
-    found = dead_time(late)
+def test_steps_show_the_delay_and_the_time_constant_together(delayed_records: list[Record]) -> None:
+    estimate = dead_time(delayed_records)
 
-    assert found is not None
-    assert found[0] == pytest.approx(DELAY_S, abs=6e-5)  # a sample and a half
-    assert found[1] == pytest.approx(FAST.T_A, rel=0.2)
+    assert estimate is not None
+    assert estimate[0] == pytest.approx(DELAY_S, abs=6e-5)  # a sample and a half
+    assert estimate[1] == pytest.approx(FAST.T_A, rel=0.2)
 
 
 def test_a_step_that_is_not_late_asks_for_none() -> None:
-    found = dead_time(narrow(THETA, seconds=0.5))
+    estimate = dead_time(narrow(THETA, seconds=0.5))
 
-    assert found is None or found[0] <= 8e-5
-
-
-def test_slow_samples_tell_neither(late: list[Record]) -> None:
-    assert dead_time([replace(record, captures=()) for record in late]) is None
+    assert estimate is None or estimate[0] <= 8e-5
 
 
-def test_a_delay_is_found_behind_the_time_constant_that_stood_in_for_it(late: list[Record]) -> None:
+def test_slow_samples_tell_neither(delayed_records: list[Record]) -> None:
+    assert dead_time([replace(record, captures=()) for record in delayed_records]) is None
+
+
+def test_a_delay_is_found_behind_the_time_constant_that_stood_in_for_it(delayed_records: list[Record]) -> None:
     """The slope of the likelihood without a delay promises a thousandth of what the delay is worth."""
-    criterion = criterion_of(late)
+    criterion = criterion_of(delayed_records)
     base = fitted(criterion, THETA)
     task = Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=DELAYS, max_candidates=3)
-    by_slope = {score.cause: score.gain for score in screen(criterion, base.theta, base.free, DELAYS)}
+    slope_gains = {score.cause: score.gain for score in screen(criterion, base.theta, base.free, DELAYS)}
 
     step = forward(task, base, base)
 
@@ -59,41 +59,41 @@ def test_a_delay_is_found_behind_the_time_constant_that_stood_in_for_it(late: li
     assert step.selected == "actuation-delay"
     assert step.trials[0].fit.theta.value("actuation-delay.delay_s") == pytest.approx(DELAY_S, rel=0.01)
     assert step.trials[0].fit.theta.T_A == pytest.approx(FAST.T_A, rel=0.05)
-    assert step.trials[0].gain > 20.0 * by_slope["actuation-delay"]
+    assert step.trials[0].gain > 20.0 * slope_gains["actuation-delay"]
     criterion.close()
 
 
 @pytest.mark.slow
-def test_what_does_the_same_is_fitted_once_and_named_twice(late: list[Record]) -> None:
-    criterion = criterion_of(late)
+def test_what_does_the_same_is_fitted_once_and_named_twice(delayed_records: list[Record]) -> None:
+    criterion = criterion_of(delayed_records)
     base = fitted(criterion, THETA)
     scores = screen(criterion, base.theta, base.free, DELAYS[:2])
     before = criterion.evaluations
-    (one,) = tried(criterion, base, scores[:1])
-    alone = criterion.evaluations - before
+    (first_trial,) = tried(criterion, base, scores[:1])
+    evaluations = criterion.evaluations - before
 
     both = tried(criterion, base, scores)
 
-    assert criterion.evaluations - before == 2 * alone
+    assert criterion.evaluations - before == 2 * evaluations
     assert [trial.cause for trial in both] == ["actuation-delay", "sampling-delay"]
-    assert both[0].gain == both[1].gain == one.gain
+    assert both[0].gain == both[1].gain == first_trial.gain
     assert both[1].fit.free[-2:] == ("sampling-delay.delay_s", "sampling-delay.in_captures")
     assert criterion.value(both[1].fit.theta) == pytest.approx(both[0].fit.loglik, abs=1e-6)
-    found = select(Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=DELAYS), base)
-    assert found.causes == ("actuation-delay",)
-    assert [trial.cause for trial in found.classes["actuation-delay"]] == ["sampling-delay"]
+    selection = select(Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=DELAYS), base)
+    assert selection.causes == ("actuation-delay",)
+    assert [trial.cause for trial in selection.classes["actuation-delay"]] == ["sampling-delay"]
     criterion.close()
 
 
-def test_the_delay_of_captures_is_that_of_their_samples(late: list[Record]) -> None:
+def test_the_delay_of_captures_is_that_of_their_samples(delayed_records: list[Record]) -> None:
     """A recording at 25 kHz says what its captures would."""
-    (bursts, *_) = late
+    (bursts, *_) = delayed_records
     capture = bursts.captures[0]
     n = len(capture.i_c_a)
     u = np.where(np.arange(n) < capture.step_index, capture.u_from_v, capture.u_to_v)
-    nothing = np.full(n, np.nan)
+    missing = np.full(n, np.nan)
     t = np.arange(n, dtype=np.float64) * capture.sample_time_s
-    whole = replace(bursts, captures=(), t=t, u_c=u, i_c=capture.i_c_a, x=nothing, x_ref=nothing)
+    whole = replace(bursts, captures=(), t=t, u_c=u, i_c=capture.i_c_a, x=missing, x_ref=missing)
 
     from_samples, from_capture = dead_time([whole]), dead_time([replace(bursts, captures=(capture,))])
 

@@ -79,12 +79,12 @@ def test_at_one_height_a_force_and_a_reading_are_one_class(cause: str) -> None:
         base = climb(criterion, QUIET, BASE)
         candidates = BY_NAME[SENSOR], BY_NAME[FORCE]
         search = Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=candidates)
-        found = select(search, base)
+        selection = select(search, base)
     finally:
         criterion.close()
 
-    (name,) = found.causes
-    assert {name, *(member.cause for member in found.classes[name])} == {SENSOR, FORCE}
+    (name,) = selection.causes
+    assert {name, *(member.cause for member in selection.classes[name])} == {SENSOR, FORCE}
 
 
 def test_a_current_that_flows_is_no_error_of_its_reading(tmp_path: Path) -> None:

@@ -37,8 +37,8 @@ def test_a_line_is_the_same_after_the_phases_of_another_were_taken_over() -> Non
         assert first is not None
         turned = replace(QUIET, phases_s=first.phases_s)
         again = find_line(criterion, turned)
-        found = turned.having(AMPLITUDE, first.amplitude_n).having(FREQUENCY, first.frequency_hz)
-        gain = criterion.value(found) - criterion.value(QUIET)
+        theta = turned.having(AMPLITUDE, first.amplitude_n).having(FREQUENCY, first.frequency_hz)
+        gain = criterion.value(theta) - criterion.value(QUIET)
     finally:
         criterion.close()
 
@@ -86,11 +86,11 @@ def test_a_short_recording_has_a_phase_of_its_own() -> None:
             .having(FREQUENCY, line.frequency_hz)
         )
         _, white = criterion.white(theta)
-        own = criterion.evidence.series.recording == 1
+        mask = criterion.evidence.series.recording == 1
     finally:
         criterion.close()
 
-    assert 0.8 < np.nanmean(white[own, 1] ** 2) < 1.2
+    assert 0.8 < np.nanmean(white[mask, 1] ** 2) < 1.2
 
 
 @pytest.mark.slow
@@ -127,12 +127,12 @@ def test_a_confounder_has_the_phases_that_belong_to_it(monkeypatch: pytest.Monke
         false = refine_phases(
             criterion, fit_phases(criterion, climb(criterion, start, free), settings.PASSES), settings.PASSES
         )
-        for most in (0, 2):
-            monkeypatch.setattr(settings, "PHASE_CANDIDATES", most)
+        for candidate_count in (0, 2):
+            monkeypatch.setattr(settings, "PHASE_CANDIDATES", candidate_count)
             causes = (CAUSE.name, sensor)
             gained = dict.fromkeys(causes, false.loglik - base.loglik)
-            found = Selection(base=base, fit=false, causes=causes, gains=gained)
-            answers[most] = confounders.find_classes(trusting(criterion, base, BY_NAME[field]), found)
+            selection = Selection(base=base, fit=false, causes=causes, gains=gained)
+            answers[candidate_count] = confounders.find_classes(trusting(criterion, base, BY_NAME[field]), selection)
     finally:
         criterion.close()
 

@@ -25,7 +25,7 @@ def test_a_minor_effect_beside_a_later_cause_goes_if_noise_remains(strength: flo
     criterion = criterion_of(narrow(rig, seconds=3.0))
     try:
         base, both = fitted(criterion, THETA), fitted(criterion, rig, FIRST, LATER)
-        alone = fitted(criterion, strong(LATER, 6e-4), LATER)
+        later_fit = fitted(criterion, strong(LATER, 6e-4), LATER)
         last = Round(scores=(), trials=(), selected=LATER)
         gains = {FIRST: 1e3, LATER: 1e3}
         at_first = Selection(base=base, fit=both, causes=(FIRST, LATER), gains=gains, rounds=(last,))
@@ -36,14 +36,14 @@ def test_a_minor_effect_beside_a_later_cause_goes_if_noise_remains(strength: flo
             candidates=(BY_NAME["quadratic-drag"],),
             max_candidates=3,
         )
-        found = select.backward(task, at_first)
-        asked = find_classes(task, at_first)
+        reduced = select.backward(task, at_first)
+        exchanged = find_classes(task, at_first)
     finally:
         criterion.close()
 
-    loss, gained = both.loglik - alone.loglik, both.loglik - base.loglik
+    loss, gained = both.loglik - later_fit.loglik, both.loglik - base.loglik
     assert loss > settings.MIN_GAIN  # no question of chance
     assert (loss > settings.MINOR_SHARE_AT_NOISE * gained) == retained
-    assert found.causes == ((FIRST, LATER) if retained else (LATER,))
-    assert (found.fit is both) == retained
-    assert asked.causes == found.causes, "nor is what an exchange has left next to nothing"
+    assert reduced.causes == ((FIRST, LATER) if retained else (LATER,))
+    assert (reduced.fit is both) == retained
+    assert exchanged.causes == reduced.causes, "nor is what an exchange has left next to nothing"

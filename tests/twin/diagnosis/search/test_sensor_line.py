@@ -55,11 +55,11 @@ def test_a_line_is_named_where_it_is(cause: str) -> None:
     with campaign(rig_with(cause)) as criterion:
         base = climb(criterion, QUIET, BASE)
         search = Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=LINES)
-        found = forward(search, base, base)
-        fit = next(trial.fit for trial in found.trials if trial.cause == found.selected)
+        step = forward(search, base, base)
+        fit = next(trial.fit for trial in step.trials if trial.cause == step.selected)
         sized, errors = with_sizes(criterion, fit)
 
-    assert found.selected == cause
+    assert step.selected == cause
     name = f"{cause}.{BY_NAME[cause].strength.name}"
     assert fit.theta.value(f"{cause}.frequency_hz") == pytest.approx(FREQUENCY_HZ, abs=3e-3)
     assert sized.theta.value(name) == pytest.approx(SIZES[cause], rel=0.03)

@@ -88,12 +88,12 @@ def test_a_wrong_g_is_a_constant_force_or_a_clock(flown: list[Record]) -> None:
     selection, stated = examined(flown, replace(PLANT, gravity_m_s2=1.02 * PLANT.gravity_m_s2), FORCE)
 
     force_n = selection.fit.theta.value(f"{FORCE}.force_n")
-    found = errors(stated, FORCE)
-    assert set(found) == {GRAVITY, CLOCK}
+    relative_errors = errors(stated, FORCE)
+    assert set(relative_errors) == {GRAVITY, CLOCK}
     # What is equivalent by the physics: the same force, the square of the time.
-    assert found[GRAVITY] == pytest.approx(-force_n / (PLANT.mass_kg * 1.02 * PLANT.gravity_m_s2), rel=0.02)
-    assert (1.0 + found[CLOCK]) ** 2 == pytest.approx(1.0 + found[GRAVITY], abs=5e-4)
-    assert found[GRAVITY] == pytest.approx(1.0 / 1.02 - 1.0, abs=0.006)
+    assert relative_errors[GRAVITY] == pytest.approx(-force_n / (PLANT.mass_kg * 1.02 * PLANT.gravity_m_s2), rel=0.02)
+    assert (1.0 + relative_errors[CLOCK]) ** 2 == pytest.approx(1.0 + relative_errors[GRAVITY], abs=5e-4)
+    assert relative_errors[GRAVITY] == pytest.approx(1.0 / 1.02 - 1.0, abs=0.006)
 
 
 def test_a_slow_clock_is_in_the_class_with_its_size(flown: list[Record]) -> None:

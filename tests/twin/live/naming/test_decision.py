@@ -15,8 +15,8 @@ from twin.live.naming.evidence import Signature, WindowEvidence
 from twin.live.naming.windows import Window
 from twin.settings.naming import FORGOTTEN_S, WINDOW_S, WINDOWS
 
-TRUE, RIVAL, ONE_SIDED = "constant-force", "sensor-crosstalk", "coulomb-friction"
-CAUSES = (TRUE, RIVAL, ONE_SIDED)
+TRUE, RIVAL, NON_NEGATIVE = "constant-force", "sensor-crosstalk", "coulomb-friction"
+CAUSES = (TRUE, RIVAL, NON_NEGATIVE)
 INFORMATION = 4.0
 
 
@@ -35,7 +35,7 @@ def window(number: int, session: int = 1) -> Window:
 
 
 def evidence(number: int, slopes: list[float], causes: tuple[str, ...] = CAUSES) -> WindowEvidence:
-    probes = {TRUE: 1e-3, RIVAL: 2e-5, ONE_SIDED: 5e-4}
+    probes = {TRUE: 1e-3, RIVAL: 2e-5, NON_NEGATIVE: 5e-4}
     return WindowEvidence(
         window=window(number),
         theta=THETA,
@@ -116,7 +116,7 @@ def test_a_cause_of_a_possible_size_goes_first() -> None:
     _, named = decided([[400.0, 0.0, 390.0]] * 4)
 
     assert named is not None
-    assert (named.cause, named.others) == (ONE_SIDED, (TRUE,))
+    assert (named.cause, named.others) == (NON_NEGATIVE, (TRUE,))
     assert named.strength == pytest.approx(390.0 / INFORMATION * 5e-4)
 
 

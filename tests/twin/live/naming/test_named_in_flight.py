@@ -88,7 +88,7 @@ def test_a_name_ends_with_the_flight_and_the_model() -> None:
     rig.begin({"coulomb-friction": 0.002})
     assert rig.run(WITHIN_S)[-1].cause == "coulomb-friction"
 
-    rig.lab.ask("SET_MODE", mode=int(Mode.IDLE))
+    rig.lab.request("SET_MODE", mode=int(Mode.IDLE))
     assert rig.run(20.0) == []
     assert rig.run(20.0)[-1].cause == ""
 

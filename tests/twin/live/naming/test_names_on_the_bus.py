@@ -11,7 +11,7 @@ from protocol.bus import board51_pb2 as pb
 from tests.harness.ports import free_endpoint
 from tests.harness.twin.named_flight import AtOnce, NamedFlight
 from tests.harness.twin.true_model import true_model
-from tests.harness.twin.twin_bus import Heard, publish, router, wait
+from tests.harness.twin.twin_bus import Subscriber, publish, router, wait
 from twin.live.naming.namer import Namer
 from twin.mirror.bus.client import hand_over
 from twin.mirror.bus.handover import believe
@@ -20,18 +20,18 @@ from twin.mirror.bus.service import TwinService
 TOPIC = "lab/rig/twin/diagnosis"
 
 
-def last(heard: Heard) -> pb.TwinDiagnosis:
-    payloads = heard.payloads[TOPIC]
+def last(subscriber: Subscriber) -> pb.TwinDiagnosis:
+    payloads = subscriber.payloads[TOPIC]
     return pb.TwinDiagnosis.FromString(payloads[-1]) if payloads else pb.TwinDiagnosis()
 
 
-def heard_first(session: zenoh.Session, service: TwinService, rig: NamedFlight) -> bool:
+def publish_first(session: zenoh.Session, service: TwinService, rig: NamedFlight) -> bool:
     """Publish the first sample; what is sent before zenoh has its routes is lost, and a repetition does no harm."""
     publish(session, rig.states[:1])
     return "rig" in service.boards
 
 
-def has_taken(service: TwinService, count: int) -> bool:
+def has_processed(service: TwinService, count: int) -> bool:
     return service.boards["rig"].samples >= count
 
 
@@ -44,23 +44,26 @@ def test_a_name_is_published_repeated_and_ended_by_another_model() -> None:
     endpoint = free_endpoint()
 
     with router(endpoint) as session:
-        heard = Heard(session, "lab")
+        subscriber = Subscriber(session, "lab")
         with TwinService(
             rig.model, site="lab", endpoints=(endpoint,), namers=partial(Namer, executor=AtOnce())
         ) as service:
-            wait(lambda: heard_first(session, service, rig), "subscriber")
+            wait(lambda: publish_first(session, service, rig), "subscriber")
             for first in range(1, len(rig.states), 1000):  # less than its queue takes
                 piece, count = rig.states[first : first + 1000], service.boards["rig"].samples
                 publish(session, piece)
-                wait(partial(has_taken, service, count + len(piece)), "samples")
-            wait(lambda: last(heard).since_ns == expected.since_ns and last(heard).for_s == expected.for_s, "a name")
-            assert last(heard).SerializeToString() == expected.SerializeToString()
-            count = len(heard.payloads[TOPIC])
-            wait(lambda: len(heard.payloads[TOPIC]) > count, "repetition")
-            assert last(heard).cause == "coulomb-friction"
+                wait(partial(has_processed, service, count + len(piece)), "samples")
+            wait(
+                lambda: last(subscriber).since_ns == expected.since_ns and last(subscriber).for_s == expected.for_s,
+                "a name",
+            )
+            assert last(subscriber).SerializeToString() == expected.SerializeToString()
+            count = len(subscriber.payloads[TOPIC])
+            wait(lambda: len(subscriber.payloads[TOPIC]) > count, "repetition")
+            assert last(subscriber).cause == "coulomb-friction"
 
             better = true_model(effects={"coulomb-friction": 0.002})
             hand_over(believe(better), site="lab", board="rig", endpoints=(endpoint,))
 
-            wait(lambda: last(heard).cause == "", "end of the name")
+            wait(lambda: last(subscriber).cause == "", "end of the name")
     assert service.failure is None

@@ -12,18 +12,18 @@ from twin.mirror.output import IN_STEP, Output
 from twin.mirror.sample import Sample
 from twin.settings.naming import MAX_SAMPLES, WINDOW_S
 
-NOTHING = (math.nan, math.nan, math.nan, math.nan, math.nan, False)
+NO_VALUES = (math.nan, math.nan, math.nan, math.nan, math.nan, False)
 
 
 def output(tick: int, sample_time_s: float, *, valid: bool = True) -> Output:
     sample = Sample(tick, tick, 1, tick * sample_time_s, True, pb.MODE_CLOSED_LOOP, 0.6, 2e-3, 2.0, 2e-3, True)
     innovation = (0.0, 0.0, 2.0, 2.0, valid)
-    answer = (innovation, (0.0, 0.0, 0.0, 0.0), NOTHING, NOTHING, NOTHING, False, (0, 0, 0))
+    answer = (innovation, (0.0, 0.0, 0.0, 0.0), NO_VALUES, NO_VALUES, NO_VALUES, False, (0, 0, 0))
     return Output(sample, IN_STEP, 0, True, answer, (), 0.0)
 
 
 def cut(seconds: float, sample_time_s: float, invalid: tuple[int, ...] = ()) -> list[Window]:
-    windows, found = Windows(), []
+    windows, complete = Windows(), []
     for tick in range(round(seconds / sample_time_s)):
         window = windows.take(
             output(tick, sample_time_s, valid=tick not in invalid),
@@ -32,16 +32,16 @@ def cut(seconds: float, sample_time_s: float, invalid: tuple[int, ...] = ()) -> 
             i_lsb_a=1e-3,
             x_lsb_m=1e-6,
         )
-        found += [window] if window is not None else []
-    return found
+        complete += [window] if window is not None else []
+    return complete
 
 
 @pytest.mark.parametrize(("sample_time_s", "samples"), [(2e-4, MAX_SAMPLES), (2e-3, MAX_SAMPLES), (2e-2, 165)])
 def test_the_work_does_not_grow_with_the_sampling_rate(sample_time_s: float, samples: int) -> None:
-    found = cut(4.0 * WINDOW_S, sample_time_s)
+    windows = cut(4.0 * WINDOW_S, sample_time_s)
 
-    assert [len(window.readings) for window in found] == [samples] * 4
-    assert [window.from_s for window in found] == pytest.approx([n * WINDOW_S for n in range(4)], abs=sample_time_s)
+    assert [len(window.readings) for window in windows] == [samples] * 4
+    assert [window.from_s for window in windows] == pytest.approx([n * WINDOW_S for n in range(4)], abs=sample_time_s)
 
 
 def test_no_window_has_a_sample_that_is_no_evidence() -> None:

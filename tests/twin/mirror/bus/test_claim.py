@@ -15,7 +15,7 @@ import zenoh
 from tests.harness.ports import free_endpoint
 from tests.harness.repeated import repeated
 from tests.harness.twin.rig import Rig
-from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait
+from tests.harness.twin.twin_bus import Subscriber, introduce, publish, router, wait
 from tests.patience import HANG_S
 from twin.mirror.bus.service import TwinService
 from twin.model.parameters import Model
@@ -52,47 +52,47 @@ def test_the_second_twin_of_a_board_ends_and_says_who_serves_it(
     rig = Rig(seed=2)
     rig.hold(HELD)
     with router(endpoint) as session:
-        heard = Heard(session, "lab")
-        with twin_of(endpoint, first) as one:
-            introduce(session, one, rig)
+        subscriber = Subscriber(session, "lab")
+        with twin_of(endpoint, first) as first_twin:
+            introduce(session, first_twin, rig)
             publish(session, list(rig.run(50, HELD)))
-            wait(lambda: len(heard.payloads["lab/rig/twin/divergence"]) == 50, "divergence")
-            with twin_of(endpoint, second) as two:
-                said = ended(session, two)
+            wait(lambda: len(subscriber.payloads["lab/rig/twin/divergence"]) == 50, "divergence")
+            with twin_of(endpoint, second) as second_twin:
+                message = ended(session, second_twin)
             publish(session, list(rig.run(50, HELD)))
-            wait(lambda: len(heard.payloads["lab/rig/twin/divergence"]) == 100, "divergence of one twin")
+            wait(lambda: len(subscriber.payloads["lab/rig/twin/divergence"]) == 100, "divergence of one twin")
 
-            assert f"process {os.getpid()} on " in said
-            assert ("every board" if first is None else "board rig") in said
-            assert one.failure is None
-            assert two.boards == {}
+            assert f"process {os.getpid()} on " in message
+            assert ("every board" if first is None else "board rig") in message
+            assert first_twin.failure is None
+            assert second_twin.boards == {}
 
 
 def test_a_token_with_a_name_that_no_twin_has_is_named(endpoint: str) -> None:
     with router(endpoint) as session, session.liveliness().declare_token("lab/rig/twin/alive/0"):
         with twin_of(endpoint) as service:
-            said = ended(session, service)
+            message = ended(session, service)
 
-    assert "board rig of site lab: one that calls itself '0'" in said
+    assert "board rig of site lab: one that calls itself '0'" in message
 
 
 def test_twins_of_other_boards_and_sites_do_not_meet(endpoint: str) -> None:
-    one, two, three = twin_of(endpoint, "rig"), twin_of(endpoint, "other"), twin_of(endpoint, site="elsewhere")
-    with router(endpoint) as session, one, two, three:
-        introduce(session, one, Rig(seed=2))
-        introduce(session, two, Rig(seed=3), board="other")
+    first, second, third = twin_of(endpoint, "rig"), twin_of(endpoint, "other"), twin_of(endpoint, site="elsewhere")
+    with router(endpoint) as session, first, second, third:
+        introduce(session, first, Rig(seed=2))
+        introduce(session, second, Rig(seed=3), board="other")
 
-        assert [service.failure for service in (one, two, three)] == [None] * 3
+        assert [service.failure for service in (first, second, third)] == [None] * 3
 
 
 def test_of_two_that_wait_for_the_router_one_serves(endpoint: str) -> None:
-    with twin_of(endpoint) as one, twin_of(endpoint) as two, router(endpoint) as session:
+    with twin_of(endpoint) as first, twin_of(endpoint) as second, router(endpoint) as session:
         parameters = Rig(seed=2).parameters().SerializeToString()
 
         def decided() -> bool:
             session.put("lab/rig/parameters", parameters)
-            served = [service for service in (one, two) if service.failure is None and service.boards]
-            return len(served) == 1 and any(service.failure for service in (one, two))
+            served = [service for service in (first, second) if service.failure is None and service.boards]
+            return len(served) == 1 and any(service.failure for service in (first, second))
 
         wait(decided, "one twin")
 
@@ -137,7 +137,7 @@ def running(words: list[str]) -> Iterator[subprocess.Popen[bytes]]:
 @contextmanager
 def speaking(session: zenoh.Session) -> Iterator[Callable[[], bool]]:
     """A board that repeats itself; yields whether a twin has answered since the last call."""
-    rig, heard = Rig(seed=2), Heard(session, "lab")
+    rig, subscriber = Rig(seed=2), Subscriber(session, "lab")
     rig.hold(HELD)
 
     def speak() -> None:
@@ -145,7 +145,7 @@ def speaking(session: zenoh.Session) -> Iterator[Callable[[], bool]]:
         publish(session, list(rig.run(1, HELD)))
 
     def answered() -> bool:
-        return bool(heard.payloads.pop("lab/rig/twin/divergence", []))
+        return bool(subscriber.payloads.pop("lab/rig/twin/divergence", []))
 
     with repeated(speak, 0.02):
         yield answered

@@ -16,7 +16,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import zenoh_encoding
 from tests.harness.ports import free_endpoint
 from tests.harness.twin.rig import TRAVEL, G, M, Rig
-from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait, wait_for_count
+from tests.harness.twin.twin_bus import Subscriber, introduce, publish, router, wait, wait_for_count
 from twin.mirror.bus.handover import MAX_PAYLOAD, believe
 from twin.mirror.bus.service import TwinService
 from twin.mirror.bus.watched import REPEAT_S
@@ -45,7 +45,7 @@ def right_model() -> Model:
     return dataclasses.replace(model, plant=plant, parameters=parameters)
 
 
-def ask(session: zenoh.Session, key: str, payload: bytes) -> dict[str, pb.CommandReply]:
+def query(session: zenoh.Session, key: str, payload: bytes) -> dict[str, pb.CommandReply]:
     """Replies by key."""
     replies = session.get(
         key,
@@ -63,8 +63,8 @@ def ask(session: zenoh.Session, key: str, payload: bytes) -> dict[str, pb.Comman
 
 
 def answered(session: zenoh.Session, key: str, payload: bytes) -> dict[str, pb.CommandReply]:
-    """`ask`, again where nobody answers: a busy machine may lose a query of a megabyte, and an id counts once."""
-    return ask(session, key, payload) or ask(session, key, payload)
+    """`query`, again where nobody answers: a busy machine may lose a query of a megabyte, and an id counts once."""
+    return query(session, key, payload) or query(session, key, payload)
 
 
 def command(model: Model | str, *, number: str = "one", who: str = "me") -> bytes:
@@ -72,16 +72,16 @@ def command(model: Model | str, *, number: str = "one", who: str = "me") -> byte
     return pb.TwinCommand(id=number, who=who, use_model=pb.UseModel(model_json=text)).SerializeToString()
 
 
-def models(heard: Heard, board: str = "rig") -> list[pb.TwinModel]:
-    return [pb.TwinModel.FromString(data) for data in heard.payloads[f"lab/{board}/twin/model"]]
+def models(subscriber: Subscriber, board: str = "rig") -> list[pb.TwinModel]:
+    return [pb.TwinModel.FromString(data) for data in subscriber.payloads[f"lab/{board}/twin/model"]]
 
 
-def alarms(heard: Heard, board: str = "rig") -> list[pb.Alarm]:
-    return [pb.Alarm.FromString(data) for data in heard.payloads[f"lab/{board}/twin/alarm"]]
+def alarms(subscriber: Subscriber, board: str = "rig") -> list[pb.Alarm]:
+    return [pb.Alarm.FromString(data) for data in subscriber.payloads[f"lab/{board}/twin/alarm"]]
 
 
-def divergences(heard: Heard, board: str = "rig") -> list[pb.Divergence]:
-    return [pb.Divergence.FromString(data) for data in heard.payloads[f"lab/{board}/twin/divergence"]]
+def divergences(subscriber: Subscriber, board: str = "rig") -> list[pb.Divergence]:
+    return [pb.Divergence.FromString(data) for data in subscriber.payloads[f"lab/{board}/twin/divergence"]]
 
 
 @pytest.fixture
@@ -92,34 +92,34 @@ def endpoint() -> str:
 def test_the_right_model_ends_the_alarms_of_the_wrong_one_without_a_gap(endpoint: str) -> None:
     rig = offset_rig()
     with router(endpoint) as session:
-        heard = Heard(session, "lab")
+        subscriber = Subscriber(session, "lab")
         with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,), settings=QUICK) as service:
             introduce(session, service, rig)
             publish(session, list(rig.run(1000, HELD)))
-            wait_for_count(lambda: len(divergences(heard)), 1000, "divergence")
-            before = alarms(heard)
-            replies = ask(session, "lab/rig/twin/command", command(right_model()))
+            wait_for_count(lambda: len(divergences(subscriber)), 1000, "divergence")
+            before = alarms(subscriber)
+            replies = query(session, "lab/rig/twin/command", command(right_model()))
             publish(session, list(rig.run(2000, HELD)))
-            wait_for_count(lambda: len(divergences(heard)), 3000, "divergence")
+            wait_for_count(lambda: len(divergences(subscriber)), 3000, "divergence")
 
     assert {alarm.name for alarm in before if alarm.active} == {"innovation", "divergence-i_c"}
     assert all("under the model ce152" in alarm.text for alarm in before if alarm.active)
     (reply,) = replies.values()
     assert (reply.accepted, reply.id, reply.tick) == (True, "one", 1000)
-    ended = alarms(heard)[len(before) :]
+    ended = alarms(subscriber)[len(before) :]
     assert {alarm.name for alarm in ended} == {"innovation", "divergence-i_c"}
     assert not any(alarm.active for alarm in ended), "the right model raises nothing"
     assert all("another model" in alarm.text and alarm.host_time_ns > 10**18 for alarm in ended)
-    found = divergences(heard)
-    assert [one.tick for one in found] == list(range(3000))
-    assert found[1000].sync == "settling"
-    assert "out-of-step" not in {one.sync for one in found[1000:]}
+    received = divergences(subscriber)
+    assert [message.tick for message in received] == list(range(3000))
+    assert received[1000].sync == "settling"
+    assert "out-of-step" not in {message.sync for message in received[1000:]}
     # Mean of 4 windows of chi-squares of 2 degrees, white: variance 4 each; 5 standard errors.
-    last = [one.nis for one in found[-4 * WINDOW :]]
+    last = [message.nis for message in received[-4 * WINDOW :]]
     assert abs(sum(last) / len(last) - 2.0) < 5 * 2.0 / math.sqrt(len(last))
-    told = [(one.name, one.since_tick, one.who, one.command_id) for one in models(heard)]
-    assert list(dict.fromkeys(told)) == [("ce152", 0, "", ""), ("moved", 1000, "me", "one")]
-    assert json.loads(models(heard)[-1].model_json) == right_model().to_json()
+    history = [(message.name, message.since_tick, message.who, message.command_id) for message in models(subscriber)]
+    assert list(dict.fromkeys(history)) == [("ce152", 0, "", ""), ("moved", 1000, "me", "one")]
+    assert json.loads(models(subscriber)[-1].model_json) == right_model().to_json()
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def bus() -> Iterator[tuple[zenoh.Session, TwinService, Rig]]:
 def test_the_reason_of_a_refusal_names_key_and_value(bus: tuple[zenoh.Session, TwinService, Rig]) -> None:
     bad = believe(Model.load("ce152")).text.replace("0.297", "297")
 
-    (reply,) = ask(bus[0], "lab/rig/twin/command", command(bad, number="named")).values()
+    (reply,) = query(bus[0], "lab/rig/twin/command", command(bad, number="named")).values()
 
     assert "parameters.K_A.value = 297 is not in 0.001 .. 100" in reply.text
 
@@ -188,11 +188,11 @@ def test_the_same_id_is_executed_once(endpoint: str) -> None:
             publish(session, list(rig.run(50, HELD)))
             wait(lambda: service.boards["rig"].samples == 50, "samples")
             key = "lab/rig/twin/command"
-            first = ask(session, key, command(right_model()))
+            first = query(session, key, command(right_model()))
             publish(session, list(rig.run(50, HELD)))
             wait(lambda: service.boards["rig"].samples == 100, "samples")
-            again = ask(session, key, command(right_model(), who="somebody else"))
-            other = ask(session, key, command(Model.load("ce152")))
+            again = query(session, key, command(right_model(), who="somebody else"))
+            other = query(session, key, command(Model.load("ce152")))
             watched = service.boards["rig"]
 
             assert again == first
@@ -206,29 +206,29 @@ def test_two_boards_of_one_twin_take_it_together_or_one_of_them(endpoint: str) -
     everybody = "lab/*/twin/command"
     rigs = {"one": offset_rig(2), "two": offset_rig(3)}
     with router(endpoint) as session:
-        heard = Heard(session, "lab")
+        subscriber = Subscriber(session, "lab")
         with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
             early: dict[str, pb.CommandReply] = {}
             # The router may hear of the queryable a moment after the session is open.
             wait(
                 lambda: bool(
-                    early.update(ask(session, everybody, command(Model.load("ce152"), number="early"))) or early
+                    early.update(query(session, everybody, command(Model.load("ce152"), number="early"))) or early
                 ),
                 "twin",
             )
             for name, rig in rigs.items():
                 introduce(session, service, rig, board=name)
                 publish(session, list(rig.run(30, HELD)), board=name)
-            wait(lambda: all(one.samples == 30 for one in service.boards.values()), "samples of both")
-            single = ask(session, "lab/two/twin/command", command(right_model()))
-            after_single = {name: one.belief.model.plant.name for name, one in service.boards.items()}
-            unknown = ask(session, "lab/three/twin/command", command(right_model()))
-            both = ask(session, everybody, command(right_model(), number="all"))
+            wait(lambda: all(item.samples == 30 for item in service.boards.values()), "samples of both")
+            single = query(session, "lab/two/twin/command", command(right_model()))
+            after_single = {name: item.belief.model.plant.name for name, item in service.boards.items()}
+            unknown = query(session, "lab/three/twin/command", command(right_model()))
+            both = query(session, everybody, command(right_model(), number="all"))
             introduce(session, service, offset_rig(4), board="late")
             for name, rig in rigs.items():
                 publish(session, list(rig.run(30, HELD)), board=name)
-            wait_for_count(lambda: len(divergences(heard, "two")), 60, "divergence")
-            now = {name: one.belief.model.plant.name for name, one in service.boards.items()}
+            wait_for_count(lambda: len(divergences(subscriber, "two")), 60, "divergence")
+            now = {name: item.belief.model.plant.name for name, item in service.boards.items()}
 
     assert {key: reply.accepted for key, reply in early.items()} == {everybody: True}
     assert set(single) == {"lab/two/twin/command"}
@@ -236,7 +236,7 @@ def test_two_boards_of_one_twin_take_it_together_or_one_of_them(endpoint: str) -
     assert [(r.reason, "one, two" in r.text) for r in unknown.values()] == [("unknown-board", True)]
     assert {key: reply.accepted for key, reply in both.items()} == {f"lab/{n}/twin/command": True for n in rigs}
     assert now == dict.fromkeys(("one", "two", "late"), "moved")
-    assert [one.tick for one in divergences(heard, "two")] == list(range(60))
+    assert [item.tick for item in divergences(subscriber, "two")] == list(range(60))
 
 
 @pytest.mark.slow
@@ -247,11 +247,11 @@ def test_the_model_is_told_again_for_those_who_come_later(endpoint: str) -> None
             introduce(session, service, rig)
             publish(session, list(rig.run(10, HELD)))
             wait(lambda: service.boards["rig"].samples == 10, "samples")
-            late = Heard(session, "lab")
-            wait(lambda: bool(models(late)), "model", REPEAT_S + 10.0)
+            newcomer = Subscriber(session, "lab")
+            wait(lambda: bool(models(newcomer)), "model", REPEAT_S + 10.0)
 
-    assert models(late)[0].sha256 == believe(Model.load("ce152")).sha256
-    assert late.encodings["lab/rig/twin/model"] == "application/protobuf;board51.v1.TwinModel"
+    assert models(newcomer)[0].sha256 == believe(Model.load("ce152")).sha256
+    assert newcomer.encodings["lab/rig/twin/model"] == "application/protobuf;board51.v1.TwinModel"
 
 
 def test_as_typed(endpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -272,18 +272,18 @@ def test_as_typed(endpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[s
             introduce(session, service, rig)
             publish(session, list(rig.run(20, HELD)))
             wait(lambda: service.boards["rig"].samples == 20, "samples")
-            taken = call("--hand-over", str(file), "--board", "rig", "--who", "me")
+            accepted = call("--hand-over", str(file), "--board", "rig", "--who", "me")
             as_json = call("--hand-over", "ce152", "--json")
             refused = call("--hand-over", str(file), "--board", "other")
             belief = service.boards["rig"].belief
     bad = call("--hand-over", str(tmp_path / "bad.json"))
     both = call("--hand-over", str(file), "--log", "x.mcap")
 
-    assert (nobody[0], no_twin[0], taken[0], as_json[0], refused[0], bad[0], both[0]) == (1, 1, 0, 0, 1, 2, 2)
+    assert (nobody[0], no_twin[0], accepted[0], as_json[0], refused[0], bad[0], both[0]) == (1, 1, 0, 0, 1, 2, 2)
     assert "No router answers" in nobody[2]
     assert "No twin answers for lab/*" in no_twin[2]
-    assert taken[1].startswith("lab/rig: runs on moved (")
-    assert taken[1].endswith("from tick 20\n")
+    assert accepted[1].startswith("lab/rig: runs on moved (")
+    assert accepted[1].endswith("from tick 20\n")
     result = json.loads(as_json[1])
     assert [(row["board"], row["accepted"]) for row in result["twins"]] == [("rig", True)]
     assert belief.sha256 == result["sha256"]

@@ -9,7 +9,7 @@ import pytest
 from protocol.bus import board51_pb2 as pb
 from tests.harness.ports import free_endpoint
 from tests.harness.twin.rig import Rig
-from tests.harness.twin.twin_bus import Heard, router, wait_for_count
+from tests.harness.twin.twin_bus import Subscriber, router, wait_for_count
 from twin.mirror.bus.handover import believe
 from twin.mirror.bus.watched import REPEAT_S, Namer, Watched
 from twin.mirror.output import Output
@@ -45,15 +45,15 @@ def repeated(host_time_ns: int) -> dict[str, list[int]]:
     (state,) = Rig().run(1, 0.0)
     state.host_time_ns = host_time_ns
     with router(free_endpoint()) as session:
-        heard = Heard(session, "lab")
+        subscriber = Subscriber(session, "lab")
         twin = Watched(session, "lab", "rig", believe(Model.load("ce152")), None, namers=namer)
         twin.take(state, now_s=100.0)
         for step in range(1, 4):
             twin.look_at_the_clock(now_s=100.0 + step * STEP_S)
         for topic in REPEATED:
-            wait_for_count(lambda t=topic: len(heard.payloads[f"lab/rig/{t}"]), 4, topic)  # type: ignore[misc]
+            wait_for_count(lambda t=topic: len(subscriber.payloads[f"lab/rig/{t}"]), 4, topic)  # type: ignore[misc]
     return {
-        topic: [kind.FromString(data).host_time_ns for data in heard.payloads[f"lab/rig/{topic}"]]
+        topic: [kind.FromString(data).host_time_ns for data in subscriber.payloads[f"lab/rig/{topic}"]]
         for topic, kind in REPEATED.items()
     }
 

@@ -6,8 +6,8 @@ import argparse
 
 from protocol.bus import board51_pb2 as pb
 from tests.harness.ports import free_endpoint
-from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait_for_count
-from tests.twin.mirror.bus.test_handover import alarms, ask, command, divergences, offset_rig, right_model
+from tests.harness.twin.twin_bus import Subscriber, introduce, publish, router, wait_for_count
+from tests.twin.mirror.bus.test_handover import alarms, command, divergences, offset_rig, query, right_model
 from twin.commands import diagnose
 from twin.mirror.bus.request import NAME, DiagnosisRequest
 from twin.mirror.bus.service import TwinService
@@ -21,12 +21,12 @@ def alarm(name: str, *, active: bool) -> pb.Alarm:
     return pb.Alarm(name=name, active=active, text="back within the range of noise")
 
 
-def asked(request: DiagnosisRequest, from_s: float, to_s: float, *, judged: bool = True) -> list[pb.Alarm]:
-    said = [
-        request.sample(pb.State(t_s=0.5 * k, tick=k), lambda _: judged)
+def feed_samples(request: DiagnosisRequest, from_s: float, to_s: float, *, has_evidence: bool = True) -> list[pb.Alarm]:
+    results = [
+        request.sample(pb.State(t_s=0.5 * k, tick=k), lambda _: has_evidence)
         for k in range(round(2 * from_s), round(2 * to_s))
     ]
-    return [one for one in said if one is not None]
+    return [result for result in results if result is not None]
 
 
 def test_it_is_asked_once_per_episode_and_after_the_whole_time() -> None:
@@ -34,21 +34,21 @@ def test_it_is_asked_once_per_episode_and_after_the_whole_time() -> None:
 
     request.take_alarm(alarm("innovation", active=True))
     request.take_alarm(alarm("divergence-x", active=True))
-    first = asked(request, 10, 100)
-    one_left = request.take_alarm(alarm("innovation", active=False))
+    first = feed_samples(request, 10, 100)
+    first_end = request.take_alarm(alarm("innovation", active=False))
     end = request.take_alarm(alarm("divergence-x", active=False))
-    quiet = asked(request, 100, 200)
+    quiet = feed_samples(request, 100, 200)
     request.take_alarm(alarm("innovation", active=True))
-    second = asked(request, 200, 300)
+    second = feed_samples(request, 200, 300)
 
-    assert [(one.name, one.active, one.tick, one.value) for one in first] == [(NAME, True, 80, 30.0)]
+    assert [(event.name, event.active, event.tick, event.value) for event in first] == [(NAME, True, 80, 30.0)]
     assert first[0].text.startswith("innovation, divergence-x for 30 s")
     assert "press Diagnose the last 2 minutes of flight, or use board51 diagnose --live 2" in first[0].text
-    assert one_left is None
+    assert first_end is None
     assert end is not None
     assert (end.name, end.active) == (NAME, False)
     assert quiet == []
-    assert [one.tick for one in second] == [460]
+    assert [event.tick for event in second] == [460]
 
 
 def test_alarms_that_come_and_go_and_a_lost_rig_ask_for_nothing() -> None:
@@ -56,60 +56,60 @@ def test_alarms_that_come_and_go_and_a_lost_rig_ask_for_nothing() -> None:
 
     for k in range(10):
         request.take_alarm(alarm("innovation", active=True))
-        assert asked(request, 20 * k, 20 * k + 19) == []
+        assert feed_samples(request, 20 * k, 20 * k + 19) == []
         assert request.take_alarm(alarm("innovation", active=False)) is None
     request.take_alarm(alarm("out-of-step", active=True))
 
-    assert asked(request, 300, 400) == []
+    assert feed_samples(request, 300, 400) == []
 
 
 def test_time_begins_anew_with_a_board_that_was_reset() -> None:
     request = DiagnosisRequest(after_s=30.0, command="")
     request.take_alarm(alarm("innovation", active=True))
 
-    assert asked(request, 1000, 1020) == []
-    assert [one.tick for one in asked(request, 0, 100)] == [60]
+    assert feed_samples(request, 1000, 1020) == []
+    assert [event.tick for event in feed_samples(request, 0, 100)] == [60]
 
 
 def test_time_without_evidence_does_not_count() -> None:
     request = DiagnosisRequest(after_s=30.0, command="")
     request.take_alarm(alarm("divergence-x", active=True))
 
-    assert asked(request, 10, 30) == []
-    assert asked(request, 30, 130, judged=False) == []
-    assert [one.tick for one in asked(request, 130, 200)] == [2 * 140]  # 19.5 s and 10.5 s
+    assert feed_samples(request, 10, 30) == []
+    assert feed_samples(request, 30, 130, has_evidence=False) == []
+    assert [event.tick for event in feed_samples(request, 130, 200)] == [2 * 140]  # 19.5 s and 10.5 s
 
 
 def test_zero_means_never() -> None:
     request = DiagnosisRequest(after_s=0.0, command="")
     request.take_alarm(alarm("innovation", active=True))
 
-    assert asked(request, 0, 1000) == []
+    assert feed_samples(request, 0, 1000) == []
 
 
 def test_on_the_bus_a_lasting_alarm_asks_and_the_right_model_takes_it_back() -> None:
     endpoint, rig = free_endpoint(), offset_rig()
     settings = Settings(window_s=0.25, diagnosis_after_s=1.0)
     with router(endpoint) as session:
-        heard = Heard(session, "lab")
+        subscriber = Subscriber(session, "lab")
         with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,), settings=settings) as service:
             introduce(session, service, rig)
             publish(session, list(rig.run(1500, HELD)))
-            wait_for_count(lambda: len(divergences(heard)), 1500, "divergence")
-            before = [one for one in alarms(heard) if one.name == NAME]
-            ask(session, "lab/rig/twin/command", command(right_model()))
+            wait_for_count(lambda: len(divergences(subscriber)), 1500, "divergence")
+            before = [event for event in alarms(subscriber) if event.name == NAME]
+            query(session, "lab/rig/twin/command", command(right_model()))
             publish(session, list(rig.run(1000, HELD)))
-            wait_for_count(lambda: len(divergences(heard)), 2500, "divergence")
-            after = [one for one in alarms(heard) if one.name == NAME][len(before) :]
-    first = min(one.tick for one in alarms(heard) if one.active)
+            wait_for_count(lambda: len(divergences(subscriber)), 2500, "divergence")
+            after = [event for event in alarms(subscriber) if event.name == NAME][len(before) :]
+    first = min(event.tick for event in alarms(subscriber) if event.active)
 
-    (wanted,) = before
-    assert wanted.active
-    assert wanted.tick == first + 500, "one second of 2 ms after the first alarm"
-    assert "board51 diagnose --live 2 --board rig --site lab" in wanted.text
+    (advice,) = before
+    assert advice.active
+    assert advice.tick == first + 500, "one second of 2 ms after the first alarm"
+    assert "board51 diagnose --live 2 --board rig --site lab" in advice.text
     parser = argparse.ArgumentParser()
     diagnose.configure(parser)
-    typed = parser.parse_args(wanted.text.partition("board51 diagnose ")[2].split())
+    typed = parser.parse_args(advice.text.partition("board51 diagnose ")[2].split())
     assert (typed.board, typed.site, typed.connect) == ("rig", "lab", [endpoint]), "it reaches this bus as it stands"
-    assert [one.active for one in after] == [False]
+    assert [event.active for event in after] == [False]
     assert "another model" in after[0].text

@@ -14,7 +14,7 @@ from protocol.bus.endpoint import zenoh_config
 from tests.harness.ports import free_endpoint
 from tests.harness.repeated import repeated
 from tests.harness.twin.rig import Rig
-from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait, wait_for_count
+from tests.harness.twin.twin_bus import Subscriber, introduce, publish, router, wait, wait_for_count
 from twin.mirror.bus import service as service_module
 from twin.mirror.bus.service import TwinService
 from twin.mirror.mirror import Mirror
@@ -38,48 +38,48 @@ def test_the_bus_carries_what_the_mirror_says_bit_by_bit(endpoint: str) -> None:
     expected = [output for output in map(mirror.handle, states) if output is not None]
 
     with router(endpoint) as session:
-        heard = Heard(session, "lab")
+        subscriber = Subscriber(session, "lab")
         with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
             introduce(session, service, rig)
             publish(session, states)
-            wait_for_count(lambda: len(heard.payloads["lab/rig/twin/divergence"]), len(states), "divergence")
-            wait_for_count(lambda: len(heard.payloads["lab/rig/twin/state"]), len(states) - 1, "twin state")
+            wait_for_count(lambda: len(subscriber.payloads["lab/rig/twin/divergence"]), len(states), "divergence")
+            wait_for_count(lambda: len(subscriber.payloads["lab/rig/twin/state"]), len(states) - 1, "twin state")
             assert service.dropped == 0
 
-    got = heard.payloads["lab/rig/twin/divergence"]
+    got = subscriber.payloads["lab/rig/twin/divergence"]
     assert got == [output.divergence.SerializeToString() for output in expected]
-    assert heard.encodings["lab/rig/twin/states"] == "application/protobuf;board51.v1.TwinBatch"
+    assert subscriber.encodings["lab/rig/twin/states"] == "application/protobuf;board51.v1.TwinBatch"
     assert pb.Divergence.FromString(got[-1]).sync == IN_STEP
 
 
 def test_each_board_has_its_own_twin_and_other_boards_can_be_left_out(endpoint: str) -> None:
-    one, two = Rig(seed=2), Rig(seed=3)
-    for rig in (one, two):
+    first, second = Rig(seed=2), Rig(seed=3)
+    for rig in (first, second):
         rig.hold(HELD)
     with router(endpoint) as session:
-        heard = Heard(session, "lab")
+        subscriber = Subscriber(session, "lab")
         with TwinService(Model.load("ce152"), site="lab", board="two", endpoints=(endpoint,)) as service:
-            introduce(session, service, two, board="two")
-            publish(session, list(one.run(20, HELD)), board="one")
-            publish(session, list(two.run(20, HELD)), board="two")
-            wait_for_count(lambda: len(heard.payloads["lab/two/twin/divergence"]), 20, "divergence")
+            introduce(session, service, second, board="two")
+            publish(session, list(first.run(20, HELD)), board="one")
+            publish(session, list(second.run(20, HELD)), board="two")
+            wait_for_count(lambda: len(subscriber.payloads["lab/two/twin/divergence"]), 20, "divergence")
             assert set(service.boards) == {"two"}
-    assert "lab/one/twin/divergence" not in heard.payloads
+    assert "lab/one/twin/divergence" not in subscriber.payloads
 
 
 def test_silence_raises_an_alarm_and_samples_end_it(endpoint: str) -> None:
     rig = Rig(seed=2)
     rig.hold(HELD)
     with router(endpoint) as session:
-        heard = Heard(session, "lab")
+        subscriber = Subscriber(session, "lab")
         with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
             introduce(session, service, rig)
             publish(session, list(rig.run(300, HELD)))
-            wait_for_count(lambda: len(heard.payloads["lab/rig/twin/alarm"]), 1, "alarm")
+            wait_for_count(lambda: len(subscriber.payloads["lab/rig/twin/alarm"]), 1, "alarm")
             publish(session, list(rig.run(2, HELD)))
-            wait_for_count(lambda: len(heard.payloads["lab/rig/twin/alarm"]), 2, "end of the alarm")
+            wait_for_count(lambda: len(subscriber.payloads["lab/rig/twin/alarm"]), 2, "end of the alarm")
 
-    on, off = (pb.Alarm.FromString(data) for data in heard.payloads["lab/rig/twin/alarm"])
+    on, off = (pb.Alarm.FromString(data) for data in subscriber.payloads["lab/rig/twin/alarm"])
     assert (on.name, on.active) == ("out-of-step", True)
     assert "no sample" in on.text
     assert (off.name, off.active) == ("out-of-step", False)
@@ -89,13 +89,13 @@ def test_malformed_messages_are_counted_and_change_nothing(endpoint: str) -> Non
     rig = Rig(seed=2)
     rig.hold(HELD)
     with router(endpoint) as session:
-        heard = Heard(session, "lab")
+        subscriber = Subscriber(session, "lab")
         with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
             introduce(session, service, rig)
             session.put("lab/rig/states", b"\xff\xff\xff")
             session.put("lab/rig/parameters", b"\x0a\xff")
             publish(session, list(rig.run(10, HELD)))
-            wait_for_count(lambda: len(heard.payloads["lab/rig/twin/divergence"]), 10, "divergence")
+            wait_for_count(lambda: len(subscriber.payloads["lab/rig/twin/divergence"]), 10, "divergence")
             assert service.malformed == 2
             assert service.running
 
@@ -112,12 +112,14 @@ def test_it_waits_for_a_router_and_survives_its_restart(endpoint: str) -> None:
             assert service.boards["rig"].mirror.sync == IN_STEP
         list(rig.run(100, HELD))  # nobody hears these
         with router(endpoint) as session:
-            heard = Heard(session, "lab")
+            subscriber = Subscriber(session, "lab")
             introduce(session, service, rig)
             publish(session, list(rig.run(300, HELD)))
-            wait_for_count(lambda: len(heard.payloads["lab/rig/twin/divergence"]), 300, "divergence after the restart")
+            wait_for_count(
+                lambda: len(subscriber.payloads["lab/rig/twin/divergence"]), 300, "divergence after the restart"
+            )
 
-        first = pb.Divergence.FromString(heard.payloads["lab/rig/twin/divergence"][0])
+        first = pb.Divergence.FromString(subscriber.payloads["lab/rig/twin/divergence"][0])
         assert first.sync == "out-of-step"
         assert service.boards["rig"].mirror.sync == IN_STEP
         assert service.boards["rig"].mirror.counters["out_of_step:lost-samples"] == 1
@@ -165,7 +167,7 @@ def streaming(session: zenoh.Session) -> AbstractContextManager[None]:
 def test_a_tick_is_sent_alone_only_where_somebody_subscribes_to_ticks(endpoint: str) -> None:
     rig = Rig(seed=2)
     rig.hold(HELD)
-    alone: list[pb.Divergence] = []
+    singles: list[pb.Divergence] = []
     together: list[pb.Divergence] = []
     with router(endpoint) as session, TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,)) as service:
         batches = session.declare_subscriber(
@@ -176,15 +178,15 @@ def test_a_tick_is_sent_alone_only_where_somebody_subscribes_to_ticks(endpoint: 
         wait_for_count(lambda: len(together), 100, "divergences together")
 
         ticks = session.declare_subscriber(
-            "lab/rig/twin/divergence", lambda s: alone.append(pb.Divergence.FromString(s.payload.to_bytes()))
+            "lab/rig/twin/divergence", lambda s: singles.append(pb.Divergence.FromString(s.payload.to_bytes()))
         )
 
         def noticed() -> bool:
             publish(session, list(rig.run(10, HELD)))
-            return bool(alone)
+            return bool(singles)
 
         wait(noticed, "tick alone")
-        wait(lambda: bool(alone) and alone[-1] == together[-1], "end of both")
-        assert alone == together[-len(alone) :]
-        assert alone[0].tick > together[99].tick, "none before the subscription"
+        wait(lambda: bool(singles) and singles[-1] == together[-1], "end of both")
+        assert singles == together[-len(singles) :]
+        assert singles[0].tick > together[99].tick, "none before the subscription"
         del batches, ticks

@@ -60,10 +60,10 @@ def test_innovations_of_a_right_model_are_white() -> None:
 
 def test_the_error_of_a_right_twin_has_the_standard_deviation_that_was_derived() -> None:
     _, outputs = outputs_of(Rig(seed=13), 6000)
-    settled = [o.divergence for o in outputs if o.divergence.sync == IN_STEP]
+    in_step = [o.divergence for o in outputs if o.divergence.sync == IN_STEP]
 
     for signal in ("x_m", "i_c_a", "u_c_v"):
-        normalised = np.array([getattr(d, signal).normalised for d in settled])
+        normalised = np.array([getattr(d, signal).normalised for d in in_step])
         # correlated over some 20 ticks: about n / 20 independent squares, relative std sqrt(2 / (n / 20)) of their mean
         assert abs(np.mean(normalised**2) - 1.0) < 4.0 * math.sqrt(2.0 * 20.0 / len(normalised))
 
@@ -212,12 +212,12 @@ def test_an_alarm_is_raised_as_soon_as_it_is_certain_and_cleared_by_a_whole_wind
     alarm = np.zeros(PLACES)
 
     raised = [decide(alarm, 10, 6.0, 2.0, 1.5) for _ in range(10)]
-    told = message("a", alarm, TURNED_ON)
+    notice = message("a", alarm, TURNED_ON)
     retained = [decide(alarm, 10, 1.8, 2.0, 1.5) for _ in range(10)]
     cleared = [decide(alarm, 10, 1.0, 2.0, 1.5) for _ in range(10)]
 
     assert raised == [UNCHANGED] * 3 + [TURNED_ON] + [UNCHANGED] * 6  # 4 * 6 > 10 * 2
-    assert (told.active, told.value, told.threshold_on, told.threshold_off) == (True, 2.4, 2.0, 1.5)
+    assert (notice.active, notice.value, notice.threshold_on, notice.threshold_off) == (True, 2.4, 2.0, 1.5)
     assert retained == [UNCHANGED] * 10  # below on, above off
     assert cleared == [UNCHANGED] * 9 + [TURNED_OFF]
     assert not message("a", alarm, TURNED_OFF).active
@@ -271,9 +271,9 @@ def test_the_same_messages_give_the_same_bits() -> None:
         for state in states:
             output = mirror.handle(pb.State.FromString(state.SerializeToString()))
             assert output is not None
-            for said in (output.divergence, output.state, *output.alarms):
-                if said is not None:
-                    produced.append(said.SerializeToString(deterministic=True))
+            for part in (output.divergence, output.state, *output.alarms):
+                if part is not None:
+                    produced.append(part.SerializeToString(deterministic=True))
         return produced
 
     assert run() == run()

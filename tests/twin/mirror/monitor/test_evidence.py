@@ -11,7 +11,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from tests.harness.ports import free_endpoint
 from tests.harness.twin.rig import T_S, Rig
-from tests.harness.twin.twin_bus import Heard, introduce, publish, router, wait_for_count
+from tests.harness.twin.twin_bus import Subscriber, introduce, publish, router, wait_for_count
 from tests.twin.mirror.bus.test_handover import alarms as alarms_on_bus
 from tests.twin.mirror.bus.test_handover import divergences, offset_rig
 from twin.mirror.bus.request import NAME
@@ -24,7 +24,7 @@ from twin.readers.log import TwinLog
 from twin.settings.mirror import Settings
 
 HELD = 2.85e-3
-ABOUT = ("innovation", "divergence-i_c")  # the integrator takes the ball to x_ref, so x is right all the same
+EXPECTED = ("innovation", "divergence-i_c")  # the integrator takes the ball to x_ref, so x is right all the same
 HOLD_TICKS = round((1.0 + 5.0) / T_S)  # a window and the longest settling
 
 
@@ -34,7 +34,7 @@ class Run:
     def __init__(self) -> None:
         self.mirror = Mirror(Model.load("ce152"))
         self.active: dict[str, pb.Alarm] = {}
-        self.said: list[tuple[str, bool]] = []
+        self.changes: list[tuple[str, bool]] = []
         self.last: Output | None = None
 
     def feed(self, states: Iterable[pb.State]) -> None:
@@ -46,7 +46,7 @@ class Run:
 
     def take(self, alarms: Iterable[pb.Alarm]) -> None:
         for alarm in alarms:
-            self.said.append((alarm.name, alarm.active))
+            self.changes.append((alarm.name, alarm.active))
             if alarm.active:
                 self.active[alarm.name] = alarm
             else:
@@ -61,8 +61,8 @@ def alarmed() -> tuple[Rig, Run]:
     rig, run = offset_rig(), Run()
     run.mirror.parameters(rig.parameters())
     run.feed(rig.run(1500, HELD))
-    assert run.of(ABOUT) == list(ABOUT)
-    run.said.clear()
+    assert run.of(EXPECTED) == list(EXPECTED)
+    run.changes.clear()
     return rig, run
 
 
@@ -139,8 +139,8 @@ def test_a_short_loss_in_flight_neither_ends_nor_repeats_it() -> None:
     list(rig.run(100, HELD))
     run.feed(rig.run(3000, HELD))
 
-    assert run.of(ABOUT) == list(ABOUT)
-    assert [said for said in run.said if said[0] in ABOUT] == []
+    assert run.of(EXPECTED) == list(EXPECTED)
+    assert [change for change in run.changes if change[0] in EXPECTED] == []
 
 
 def test_after_a_long_gap_only_new_evidence_raises_it() -> None:
@@ -148,11 +148,11 @@ def test_after_a_long_gap_only_new_evidence_raises_it() -> None:
 
     list(rig.run(600, HELD))
     run.feed(rig.run(1, HELD))
-    at_once = run.of(ABOUT)
+    at_once = run.of(EXPECTED)
     run.feed(rig.run(3000, HELD))
 
     assert at_once == []
-    assert run.of(ABOUT) == list(ABOUT)
+    assert run.of(EXPECTED) == list(EXPECTED)
 
 
 def test_silence_ends_it() -> None:
@@ -185,7 +185,7 @@ def test_over_a_log_the_alarms_are_those_of_the_live_twin(tmp_path: Path) -> Non
 
     (run,), _ = run_log(tmp_path / "flight.mcap", Model.load("ce152"))
 
-    assert [(alarm.name, alarm.active) for alarm in run.alarms] == live.said
+    assert [(alarm.name, alarm.active) for alarm in run.alarms] == live.changes
     assert live.active == {}
 
 
@@ -194,18 +194,18 @@ def test_on_the_bus_a_restarted_gateway_leaves_no_alarm_and_asks_for_no_diagnosi
     endpoint, rig = free_endpoint(), offset_rig()
     settings = Settings(window_s=0.25, diagnosis_after_s=2.0)
     with router(endpoint) as session:
-        heard = Heard(session, "lab")
+        subscriber = Subscriber(session, "lab")
         with TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,), settings=settings) as service:
             introduce(session, service, rig)
             publish(session, list(rig.run(800, HELD)))
-            wait_for_count(lambda: len(divergences(heard)), 800, "divergence")
+            wait_for_count(lambda: len(divergences(subscriber)), 800, "divergence")
             was = set(service.boards["rig"].alarms)
             idle(rig, session=2, lost=1500)
             introduce(session, service, rig)
             publish(session, list(rig.run(2000, HELD)))
-            wait_for_count(lambda: len(divergences(heard)), 2800, "divergence")
+            wait_for_count(lambda: len(divergences(subscriber)), 2800, "divergence")
             left = set(service.boards["rig"].alarms)
 
     assert {"divergence-i_c"} <= was
     assert left == set()
-    assert NAME not in {one.name for one in alarms_on_bus(heard)}
+    assert NAME not in {alarm.name for alarm in alarms_on_bus(subscriber)}

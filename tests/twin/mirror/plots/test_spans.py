@@ -59,7 +59,7 @@ def test_a_span_more_is_a_column_more(flown: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--span", "2:1"], "is not FROM:TO"),
         (["--span", "x"], "is not FROM:TO"),
@@ -69,7 +69,7 @@ def test_a_span_more_is_a_column_more(flown: Path, tmp_path: Path) -> None:
     ],
 )
 def test_a_span_that_is_none_is_one_clear_line(
-    words: list[str], said: str, flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:
         code = board51.main(["plot", str(flown), "--out", str(tmp_path / "p.png"), *words])
@@ -77,4 +77,4 @@ def test_a_span_that_is_none_is_one_clear_line(
         code = int(stop.code or 0)
 
     assert code == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
