@@ -1,5 +1,6 @@
-"""For all tests: hypothesis takes the same examples on every run, with no deadline that a busy machine could miss, and
-the programs that tests start hear SIGHUP and SIGINT, also where this run itself was told to ignore them (nohup, &).
+"""The settings of all tests.  Hypothesis takes the same examples on every run, with no deadline that a busy machine
+could miss.  The programs that tests start hear SIGHUP and SIGINT, even if this run itself was told to ignore them
+(nohup, &).
 
 What is slow to make is made once, not in each process of the run: fixtures of a module, and machine code.
 """
@@ -65,7 +66,7 @@ def _share_rewriting(config: pytest.Config) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
-    """On Windows, leave out what could not even be imported there."""
+    """Leave out, on Windows, each file that could not even be imported there."""
     return True if os.name != "posix" and collection_path.suffix == ".py" and needs_posix(collection_path) else None
 
 
@@ -143,7 +144,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 
 def _lock_compilation() -> None:
-    """Of the processes of a run one compiles a kernel; the others wait and read it from numba's cache on disk."""
+    """Let one process of a run compile a kernel; the others wait and read it from numba's cache on disk."""
     if sys.platform == "win32":  # each compiles for itself there
         return
     import fcntl

@@ -1,4 +1,4 @@
-"""How many examples of a costly property are drawn: all in the gate, a third in `make test`.
+"""The number of examples that are drawn of a costly property: all in the gate, a third in `make test`.
 
 A property is costly where its test takes more than half a second of processor time.  Cheap ones always take all.
 """

@@ -1,4 +1,4 @@
-"""How long a test waits for what must happen: a guard against hanging for ever, never a measure of speed.
+"""The time that a test waits for an event that must come: a guard against hanging for ever, never a measure of speed.
 
 Waiting ends with the event, so a long guard costs a healthy test nothing, and a machine with six times as much to do as
 it has cores for does not fail it.  How fast something is belongs into `tests/bench`.

@@ -1,4 +1,4 @@
-"""What is public is listed, documented, and says its units and shapes.
+"""Checks that every public name is listed and documented, and says its units and shapes.
 
 A name is public where `__all__` of `twin`, `gateway.client` or `gateway.testing` has it.  Each has a docstring;
 for each parameter, field and property that is a number or an array: its unit, as the end of its name or beside it; for
@@ -47,7 +47,7 @@ def public() -> list[tuple[str, str]]:
 
 
 def problems(name: str, thing: Any, *, fields: bool = True) -> Iterator[str]:
-    """What is missing of one public name."""
+    """Yield each thing that is missing of one public name."""
     if not inspect.getdoc(thing):
         yield f"{name}: no docstring"
     if inspect.isclass(thing):

@@ -127,7 +127,7 @@ def noisy(rng: np.random.Generator, frames: list[bytes]) -> bytes:
 
 
 def throughput(row_name: str, make_stream: Callable[[list[bytes]], bytes]) -> dict[str, Any]:
-    """One row of the result: our decoder and the first try on the same kind of stream, in the same run."""
+    """Return one row of the result: our decoder and the first try on the same kind of stream, in the same run."""
     rng = np.random.default_rng(SEED)
     state = next(row for row in ROWS if row.name == "STATE")
     frames = [random_frame(rng, state) for _ in range(STREAM_FRAMES)]

@@ -1,4 +1,4 @@
-"""How long `diagnose` takes on a campaign of 90 s, full and quick, and which stage takes which share.
+"""The time that `diagnose` takes on a campaign of 90 s, full and quick, and the share of each stage.
 
 Wall time is what a user waits for; processor time is what it costs where other programs have the cores.  Targets: 60 s
 full and 10 s quick, on two free cores.  And what a filter step takes, of which a budget is made, on recordings of a rig

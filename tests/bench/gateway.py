@@ -28,7 +28,7 @@ PERIOD_S = 2e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """What one run showed within the window."""
+    """The measurements of one run within the window."""
 
     median_ms: float
     p99_ms: float
@@ -55,7 +55,7 @@ def run(part: str = "") -> list[dict[str, Any]]:
 
 
 def measure(boards: int, *, bare: bool, keys: Path | None = None) -> Result:
-    """One run with the gateway, or with the bare loop.
+    """Measure one run with the gateway, or with the bare loop.
 
     Args:
         boards: how many, at 500 Hz each.
@@ -93,7 +93,7 @@ def measure(boards: int, *, bare: bool, keys: Path | None = None) -> Result:
 
 
 def result(folder: Path, begin: int, over: int, cpu: float) -> Result:
-    """What load and subscriber wrote down.
+    """Return the result of one run from the records that load and subscriber wrote.
 
     Args:
         folder: with written.npy and arrived.npy.

@@ -1,4 +1,4 @@
-"""What it costs to guard the bus: TLS, passwords and access control against plain TCP, in the same run."""
+"""The cost of guarding the bus: TLS, passwords and access control against plain TCP, in the same run."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ TIMEOUT_S = 3600.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Way:
-    """What one way took and said."""
+    """The rig time and the recordings that one way took, and its answer."""
 
     rig_s: float
     recordings: int
@@ -35,7 +35,7 @@ class Way:
     named: list[list[str]]  # each with those that cannot be told from it
 
     def has(self, truth: str) -> bool:
-        """Whether that name, or a class that holds it, and nothing else was named."""
+        """Return whether that name, or a class that holds it, was named and nothing else was."""
         return len(self.named) == 1 and truth in self.named[0]
 
 
@@ -135,7 +135,7 @@ def _way(rig_s: float, diagnosis: Mapping[str, Any], folder: Path) -> Way:
 
 
 def _call(*words: str) -> dict[str, Any]:
-    """What a command prints as JSON, whatever its exit code says of the answer."""
+    """Return the JSON that a command prints, whatever its exit code says of the answer."""
     process = subprocess.run(
         [sys.executable, "-m", "board51", *words],
         cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=TIMEOUT_S,

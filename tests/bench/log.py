@@ -50,7 +50,7 @@ def _row(name: str, value: float, baseline: float, unit: str, note: str) -> Row:
 
 
 def _sample(tick: int) -> tuple[int, bytes]:
-    """As a rig in closed loop gives: converter counts in SI, slow signals with noise."""
+    """Return a sample like one of a rig in closed loop: converter counts in SI, slow signals with noise."""
     now_ns = START_NS + tick * 2_000_000
     noise = (tick * 104_729 % 17) - 8
     state = pb.State(

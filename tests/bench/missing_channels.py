@@ -1,4 +1,4 @@
-"""What each missing channel or experiment costs: recordings of a rig with a known cause, less and less of them.
+"""The cost of each missing channel or experiment, on recordings of a rig with a known cause, less and less of them.
 
 The campaign of `hidden_campaign.py` is recorded once for each hidden cause, on the second plant; each variant leaves
 something out, and `identify` and `diagnose --quick` get what is left.  It makes the table of docs/howto/foreign.md.
@@ -31,7 +31,7 @@ Rows = list[dict[str, str]]
 
 
 class Variant(NamedTuple):
-    """What is kept of a campaign."""
+    """The part of a campaign that a variant keeps."""
 
     name: str
     keeps: Callable[[Recording], bool] = lambda recording: True

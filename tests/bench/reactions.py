@@ -1,4 +1,5 @@
-"""How fast the control room reacts: STOP, also under a flood, a lost board, frames beside browsers that never read.
+"""The reaction times of the control room: STOP (also under a flood), a lost board, frames beside browsers that
+never read.
 
 Each is what a person waits for, so it is wall time, and each has a limit that is promised on two cores that do little
 else (`note`).  The baseline is the same without a page: a client of the bus that says STOP, the feed that the page
@@ -89,7 +90,7 @@ def _on_a_rig(folder: Path) -> list[Row]:
 
 
 def _stopped_s(bus: Bus, press: Any) -> float:
-    """From the press to the first sample with the coil off."""
+    """Return the time from the press to the first sample with the coil off."""
     bus.command(f"open-{time.time_ns()}", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP))
     wait_for(lambda: bus.states()[-1].mode == pb.MODE_OPEN_LOOP, "open loop")
     pressed_ns = press()

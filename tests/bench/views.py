@@ -1,4 +1,4 @@
-"""What the control room costs: 8 boards at 500 Hz with OPC UA, web page and their clients, against the gateway alone.
+"""The cost of the control room: 8 boards at 500 Hz with OPC UA, web page and their clients, against the gateway alone.
 
 As in gateway.py: the load, the gateway as a user starts it (log on), a zenoh subscriber that notes each arrival.  Then
 the same with `--opcua --hmi`, four OPC UA clients (20 variables each, 50 Hz) and four headless Chromiums.  All of it
@@ -42,7 +42,7 @@ Begin = Callable[..., subprocess.Popen[str]]  # title, words, environment
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """What one run showed within the window."""
+    """The measurements of one run within the window."""
 
     line: Result
     not_logged: int  # samples that were sent and are not in the log
@@ -81,7 +81,7 @@ def run() -> list[Row]:
 
 
 def measure(*, clients: bool) -> Measurement:
-    """One run, with views and clients or without."""
+    """Measure one run, with views and clients or without."""
     with tempfile.TemporaryDirectory(prefix="board51-bench-") as name:
         folder = Path(name)
         endpoint, opcua, hmi = f"tcp/127.0.0.1:{free_port()}", free_port(), free_port()

@@ -1,4 +1,4 @@
-"""What the firmware takes of an ATmega328P: cycles of a tick, stack, RAM and flash, each with the most that it may.
+"""The resources that the firmware takes of an ATmega328P: cycles of a tick, stack, RAM and flash, each with its limit.
 
 The cycles of a tick are those in which the chip is awake within T_s: the law, converters and bus waited for, interrupts
 for every byte, commands, frames.  The table of firmware/README.md has what `-s` prints here.
@@ -59,7 +59,7 @@ def played() -> tuple[AvrHost, dict[str, int]]:
 
 
 def capture(host: AvrHost) -> Callable[[], object]:
-    """From open loop, with the line full of commands."""
+    """Return an action that starts a capture from open loop, with the line full of commands."""
 
     def play() -> None:
         host.request("SET_MODE", mode=1)

@@ -1,4 +1,4 @@
-"""What goes wrong on the AVR alone (test_chip_faults.py has the rest): the coil is off within a stated time."""
+"""Tests of faults on the AVR alone (test_chip_faults.py has the rest): the coil is off within a stated time."""
 
 from __future__ import annotations
 

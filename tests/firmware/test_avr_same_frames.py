@@ -41,7 +41,7 @@ def small_core(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Pair:
-    """Both boards at one host, tick by tick."""
+    """The two boards at one host, run tick by tick."""
 
     def __init__(self, path: Path) -> None:
         self.plants = Bench(), Bench()
@@ -113,7 +113,7 @@ class Kinds:
         return kinds
 
     def names(self) -> list[str]:
-        """Of the answers."""
+        """Return the names of the answers."""
         return [answer.name for answer in self.answers]
 
 
@@ -185,7 +185,7 @@ def test_the_identity_says_what_the_chip_has() -> None:
 
 
 def command(script: Script) -> bytes:
-    """One of the random host's commands, but for those whose times are not those of ticks."""
+    """Return one of the random host's commands, except those whose times are not times of ticks."""
     while True:
         data = script._command()
         name = ROW_OF_TYPE[data[2]].name if len(data) > 2 and data[2] in ROW_OF_TYPE else ""

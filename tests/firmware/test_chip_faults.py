@@ -1,4 +1,4 @@
-"""What goes wrong on either chip: in each case the input of the coil is 0 within a stated number of ticks."""
+"""Tests of faults on either chip: in each case the input of the coil is 0 within a stated number of ticks."""
 
 from __future__ import annotations
 

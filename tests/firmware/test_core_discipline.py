@@ -1,4 +1,4 @@
-"""What the core promises a small chip: no recursion, no heap, no floats, a stack of known depth."""
+"""The core promises a small chip no recursion, no heap, no floats, and a stack of known depth."""
 
 from __future__ import annotations
 

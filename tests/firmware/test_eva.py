@@ -1,4 +1,4 @@
-"""What the analysis of values finds in the core stands in firmware/eva.md, with its reason; and nothing else does."""
+"""Checks that firmware/eva.md has each finding of the analysis of values in the core, with its reason, and no other."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Flash:
 
     @property
     def called(self) -> list[str] | None:
-        """What avrdude was called with."""
+        """The arguments that avrdude was called with."""
         call_file = self.folder / "called"
         return call_file.read_text().split() if call_file.exists() else None
 

@@ -1,4 +1,4 @@
-"""Both chips at a line that is full: ticks in time, and each frame answered or counted.
+"""Tests of both chips at a full line: ticks are in time, and each frame is answered or counted.
 
 The table of firmware/README.md has what `-s` prints here.
 """
@@ -41,7 +41,7 @@ class Watched(EmulatedPlant):
         return super().sense()
 
     def latest(self, period: int) -> float:
-        """How much later than the earliest one a tick began, in periods; the position follows the current."""
+        """Return how long after the earliest tick the latest began, in periods; the position follows the current."""
         phases = [(cycle - self.begun[0] + period // 2) % period for cycle in self.begun[::2]]
         return (max(phases) - min(phases)) / period
 

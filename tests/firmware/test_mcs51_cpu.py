@@ -59,7 +59,7 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """What both are asked for."""
+    """The state that the emulator and ucsim are both asked for."""
 
     pc: int
     ram: bytes

@@ -1,4 +1,4 @@
-"""What goes wrong on the 8051 alone (test_chip_faults.py has the rest), and when the coil is off."""
+"""Tests of faults on the 8051 alone (test_chip_faults.py has the rest), and of the time when the coil is off."""
 
 from __future__ import annotations
 

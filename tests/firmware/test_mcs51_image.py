@@ -1,4 +1,4 @@
-"""What the image of the 8051 needs of its chip: cycles, memory, stack, baud; and that interrupts cannot harm it."""
+"""Checks the demands of the 8051 image on its chip (cycles, memory, stack, baud) and that interrupts cannot harm it."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def both(seed: int, ticks: int, library: Path) -> tuple[Sent, Sent, Mcs51Board]:
 
 
 def compared(core_output: Sent, chip_output: Sent) -> dict[str, tuple[int, int]]:
-    """How many frames of each queue there are, and how many of them are the same before the first that is not."""
+    """Return the number of frames of each queue, and the number of equal frames before the first that differs."""
     counts = {}
     for name, frames in chip_output.frames.items():
         pairs = list(zip(frames, core_output.frames[name], strict=False))

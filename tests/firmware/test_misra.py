@@ -1,4 +1,4 @@
-"""What the checker finds against MISRA C:2012 stands in firmware/misra.md, with its reason; and nothing else does."""
+"""Checks that firmware/misra.md has each finding of the checker against MISRA C:2012, with its reason, and no other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the main loop and an interrupt both change: no instruction of one may fall between two of the other.
+"""The main loop and an interrupt change the same variables: no instruction of one may fall between two of the other.
 
 A variable that an interrupt writes is written by the main loop with interrupts off, or in one instruction; if it has
 more than a byte, it is read with interrupts off, too.  What does otherwise stands here with its reason.
@@ -52,7 +52,7 @@ def both_write(program: Program, roots: set[str]) -> tuple[set[str], set[tuple[s
 
 
 def split(first: Access, other: Access) -> bool:
-    """Whether these are two bytes of a number in `board`, read with an interrupt possible in between."""
+    """Return whether these are two bytes of a number in `board`, read with an interrupt possible in between."""
     if first.writes or other.writes or first.function != other.function or first.guarded:
         return False
     name, _, at = first.variable.partition("+")

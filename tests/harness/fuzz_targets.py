@@ -1,4 +1,4 @@
-"""What meets bytes from outside, as functions of bytes: the table of `tests/harness/fuzzing.py`.
+"""The code that meets bytes from outside, as functions of bytes: the table of `tests/harness/fuzzing.py`.
 
 A file's reader is that of `hostile_files.READERS`.  Messages of the bus, records of a log and frames of a line are
 packed into one input, each behind its kind and length, so that changed bytes still make a valid log or a right CRC.
@@ -255,7 +255,7 @@ def _single_samples(data: bytes) -> list[Message]:
 
 
 def _view(_: Path, data: bytes) -> None:
-    """What pages, API and Foxglove make of messages."""
+    """Process messages as pages, API and Foxglove do."""
     show(_single_samples(data), later_s=1.5)
 
 
@@ -264,7 +264,7 @@ def _opcua(_: Path, data: bytes) -> None:
 
 
 def _client(_: Path, data: bytes) -> None:
-    """What a user's own program gets."""
+    """Make the samples and captures that a user's own program gets."""
     for _name, item in parsed(data):
         if isinstance(item, pb.State):
             with suppress(DataError):
@@ -275,7 +275,7 @@ def _client(_: Path, data: bytes) -> None:
 
 
 def _mirror(_: Path, data: bytes) -> None:
-    """What the twin makes of samples and parameters; an error here ends it."""
+    """Pass samples and parameters to the twin; an error here ends it."""
     mirror = Mirror(Model.load("ce152"))
     for _name, item in parsed(data):
         match item:

@@ -1,4 +1,4 @@
-"""Who reads which file from outside, and how a file of that sort goes wrong: the table of `test_hostile_input.py`."""
+"""The reader of each file from outside, and how such a file goes wrong: the table of `test_hostile_input.py`."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ Make = Callable[[Random, Path], bytes]  # chance, a file that may be written on 
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """What reads a file of this name; `make` gives the content of one that is wrong."""
+    """The reader of a file of this name; `make` gives the content of one that is wrong."""
 
     file: str
     make: Make
@@ -181,7 +181,7 @@ def _users(chance: Random, scratch: Path) -> bytes:
 
 
 def _read_log(path: Path) -> None:
-    """As `info`, the page and a replay read it."""
+    """Read a log as `info`, the page and a replay do."""
     as_text(summarise(path))
     timeline(path)
     for _ in read(path):

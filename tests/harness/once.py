@@ -1,4 +1,4 @@
-"""What is slow to make is made once for all processes of a run."""
+"""Things that are slow to make are made once for all processes of a run."""
 
 from __future__ import annotations
 

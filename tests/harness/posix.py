@@ -1,4 +1,4 @@
-"""Which tests need Linux or macOS: those that open a pty, send signals, read /proc or the mode of a file, or compile.
+"""The tests that need Linux or macOS open a pty, send signals, read /proc or the mode of a file, or compile.
 
 Found by words of their source and of the helpers that they import.  So a new test is on the right side by itself, and
 none is left out by hand.

@@ -1,4 +1,4 @@
-"""What travels on the bus: keys, encodings, generated classes, and decoding without them."""
+"""Tests of the messages on the bus: keys, encodings, generated classes, and decoding without them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What programs other than the twin read from diagnosis.json."""
+"""Tests of the parts of diagnosis.json that programs other than the twin read."""
 
 from __future__ import annotations
 

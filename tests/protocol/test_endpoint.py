@@ -20,7 +20,7 @@ def _open(text: str) -> zenoh.Session:
 
 
 def _reaches(publisher: zenoh.Session, subscriber: zenoh.Session, limit_s: float = 15.0, data: bytes = b"1") -> bool:
-    """Whether a put of `data` arrives at the other; repeated, because routes spread in their own time."""
+    """Return whether a put of `data` arrives at the other; repeated, because routes spread in their own time."""
     got: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     with subscriber.declare_subscriber("t/x", lambda sample: got.put(sample.payload.to_bytes())):
         end = time.monotonic() + limit_s

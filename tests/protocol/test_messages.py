@@ -31,7 +31,7 @@ def valid(row: Row) -> dict[str, Value]:
 
 
 def offset(row: Row, target: Field) -> int:
-    """Where a field begins in the body, from the types alone."""
+    """Return the byte at which a field begins in the body, from the types alone."""
     at = 1.0
     for field in row.fields:
         if field is target:

@@ -24,7 +24,7 @@ DRAWING_WIDTH = 110
 
 
 def section(heading: str) -> str:
-    """What stands under the one heading that starts with `heading`, down to the next heading."""
+    """Return the text under the one heading that starts with `heading`, down to the next heading."""
     matches = re.findall(rf"^#+ {re.escape(heading)}[^\n]*\n(.*?)(?=^#+ |\Z)", PAGE, re.MULTILINE | re.DOTALL)
     assert len(matches) == 1, f"{len(matches)} headings start with {heading!r}"
     return str(matches[0])

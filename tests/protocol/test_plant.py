@@ -1,4 +1,4 @@
-"""Whether the data of a plant can be right: what is refused, what is asked about, and what is meant instead."""
+"""Tests of the data of a plant: refusals, questions, and the values that were probably meant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is to be written next: a STOP that was begun is finished, whatever is given up meanwhile."""
+"""Tests of the order of writing: a STOP that was begun is finished, whatever is given up meanwhile."""
 
 from __future__ import annotations
 

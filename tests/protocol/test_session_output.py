@@ -1,4 +1,4 @@
-"""What a session still lets out of the gateway when the port is slow, stops, or swallows frames for later."""
+"""Tests of a session's output when the port is slow, stops, or swallows frames for later."""
 
 from __future__ import annotations
 

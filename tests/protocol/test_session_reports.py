@@ -1,4 +1,4 @@
-"""What a session says of a board, field by field: samples, events, outcomes, counters, and the rate of the stream."""
+"""Tests of a session's reports on a board, by field: samples, events, outcomes, counters, and the stream's rate."""
 
 from __future__ import annotations
 

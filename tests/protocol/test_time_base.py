@@ -63,7 +63,7 @@ class Rig:
         self._line += data
 
     def settle(self) -> None:
-        """What is still on the line arrives."""
+        """Let everything that is still on the line arrive."""
         self.chunk = 1
         self._step()
 

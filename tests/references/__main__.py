@@ -100,7 +100,7 @@ def _write(path: Path, answer: dict[str, Any]) -> None:
 
 
 def _machine() -> dict[str, str]:
-    """What decides about the last digits."""
+    """Return the properties of the machine that decide about the last digits."""
     import llvmlite.binding as llvm
 
     versions = {name: importlib.metadata.version(name) for name in ("numpy", "scipy", "numba", "llvmlite")}

@@ -1,4 +1,4 @@
-"""What a tree answers to one case, through the commands that a user types."""
+"""The answers of a tree to one case, through the commands that a user types."""
 
 from __future__ import annotations
 

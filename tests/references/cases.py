@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """One campaign and how it is asked about.
+    """A campaign and the questions about it.
 
     `make` writes the campaign into a folder; without it `campaign` is one of the tree's own over the measured data.
     """

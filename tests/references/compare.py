@@ -14,7 +14,7 @@ IGNORED = ("*.stages_s.*",)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """One field: None is "absent"."""
+    """A field that differs: None is "absent"."""
 
     field: str
     was: object

@@ -134,7 +134,7 @@ class Stack:
         return process.stdout
 
     def board51(self, *words: str) -> str:
-        """In the gateway's container."""
+        """Run a command in the gateway's container."""
         return self.call("exec", "-T", "gateway", "board51", *words)
 
 

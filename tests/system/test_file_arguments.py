@@ -171,7 +171,7 @@ def kinds() -> dict[str, Callable[[Path], object]]:
 
 
 def find_problem(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:
-    """What is wrong with the answer of this command to a bad argument; "" if nothing."""
+    """Return the fault of this command's answer to a bad argument; "" if there is none."""
     try:
         code = board51.main(words)
     except SystemExit as ended:
@@ -232,7 +232,7 @@ OUTPUTS = (
 
 @pytest.fixture(scope="module")
 def right(folder: Path) -> dict[str, Path]:
-    """What the commands need beside the place to write to."""
+    """Provide the inputs that the commands need besides the path to write to."""
     good = folder / "good"
     assert board51.main(["import", str(good / "good.csv"), "-o", str(good / "good.mcap")]) == 0
     assert board51.main(["security", "init", str(good / "keys")]) == 0

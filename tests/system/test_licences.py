@@ -1,4 +1,4 @@
-"""What the product installs may be given on with it: each licence is known, and the bill of materials names it."""
+"""Tests of the licences of all that is installed: each is known, allows passing on, and is in the bill of materials."""
 
 from __future__ import annotations
 

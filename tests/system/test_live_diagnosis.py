@@ -1,4 +1,4 @@
-"""From a lasting alarm to a quiet twin: request, diagnosis of what was just flown, hand-over; as a user types it."""
+"""A lasting alarm leads to a quiet twin: request, diagnosis of the flight, hand-over; as a user types it."""
 
 from __future__ import annotations
 

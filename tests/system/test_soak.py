@@ -79,7 +79,7 @@ while input():
 
 
 def failures(stage: Stage, account: Account, logs: Mapping[int, Logged]) -> dict[str, list[object]]:
-    """What is wrong, by what was asked; an empty list is none."""
+    """Return the failures by question; an empty list means none."""
     lines, counted = account.lines, account.counted_no_sample
     never_killed = range(1, BOARDS, GATEWAYS)  # the counts of a gateway that is killed die with it
     full = (lines[PUBLISHED, DISK_FULL], account.counted_dropped["log"])
@@ -102,7 +102,7 @@ def failures(stage: Stage, account: Account, logs: Mapping[int, Logged]) -> dict
 
 
 def report(stage: Stage, weather: Weather, faults: Counter[str], account: Account, logs: Mapping[int, Logged]) -> str:
-    """What a person wants to see of a soak."""
+    """Return the report of a soak for a person."""
     lines = [
         f"seed {SEED}, {BOARDS} boards, {MINUTES:g} min",
         "",
@@ -139,7 +139,7 @@ def steady_usage(service: Service) -> list[Held]:
 
 
 def growth(service: Service) -> str:
-    """What it holds at the end, and the slopes."""
+    """Return the resources that a process holds at the end, and their slopes."""
     held = steady_usage(service)
     if len(held) < 2 * BLOCKS:
         return "too short a life"
@@ -150,7 +150,7 @@ def growth(service: Service) -> str:
 
 
 def too_much(service: Service) -> str:
-    """What a process holds more and more of, if that is certain."""
+    """Return the resources that a process surely holds more and more of."""
     held = steady_usage(service)
     if len(held) < 60.0 * LONG_MIN / 3.0:
         return ""  # killed too often to tell

@@ -12,7 +12,7 @@ import board51
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
-    """What the browser was asked to open, on a screen."""
+    """Provide the list of URLs that the browser was asked to open, on a screen."""
     urls: list[str] = []
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DISPLAY", ":0")

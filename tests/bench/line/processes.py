@@ -49,7 +49,7 @@ def ready(process: subprocess.Popen[str]) -> None:
 
 
 def goes_first(process: subprocess.Popen[str]) -> bool:
-    """Whether it was allowed to."""
+    """Return whether the process was allowed to run before ordinary processes."""
     return os.sched_getscheduler(process.pid) == os.SCHED_RR
 
 

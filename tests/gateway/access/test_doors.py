@@ -1,4 +1,4 @@
-"""Who is not let onto a guarded bus at all, and who is put out of it again."""
+"""Tests of the clients that are not let onto a guarded bus at all, and of those that are put out of it again."""
 
 from __future__ import annotations
 

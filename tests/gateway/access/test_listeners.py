@@ -1,4 +1,4 @@
-"""Which listeners may be opened."""
+"""The rules for the listeners that may be opened."""
 
 from __future__ import annotations
 

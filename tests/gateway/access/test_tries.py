@@ -1,4 +1,4 @@
-"""How often passwords may be tried, from where."""
+"""The rules of how often passwords may be tried, and from where."""
 
 from __future__ import annotations
 

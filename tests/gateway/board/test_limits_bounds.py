@@ -1,4 +1,4 @@
-"""Where each limit of the gate ends, to the last value that passes, and what a refusal says: value, bound, unit."""
+"""Tests of the end of each limit of the gate, to the last value that passes. A refusal says value, bound and unit."""
 
 from __future__ import annotations
 

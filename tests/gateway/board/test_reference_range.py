@@ -1,4 +1,4 @@
-"""One range of the reference: what a view shows is what gateway and board let through."""
+"""The reference has one range: a view shows the range that gateway and board let through."""
 
 from __future__ import annotations
 

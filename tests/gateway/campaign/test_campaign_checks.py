@@ -1,4 +1,4 @@
-"""What makes a recording of a campaign unusable: each fault by itself, on an otherwise good recording."""
+"""Tests of the faults that make a recording of a campaign unusable: each by itself, on an otherwise good recording."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def problems(
 
 
 def cut(part: slice) -> Change:
-    """Without these samples."""
+    """Return a change that removes the samples of `part`."""
 
     def change(s: Samples) -> Samples:
         keep = np.ones(len(s), dtype=bool)

@@ -1,4 +1,4 @@
-"""What the campaign is for: its folder gives back the emulated rig, and says nothing against its own recordings."""
+"""The purpose of the campaign: its folder gives back the emulated rig and says nothing against its own recordings."""
 
 from __future__ import annotations
 

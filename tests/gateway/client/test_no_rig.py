@@ -1,4 +1,4 @@
-"""What a client says and is without a rig."""
+"""Tests of a client without a rig: its messages and its properties."""
 
 from __future__ import annotations
 

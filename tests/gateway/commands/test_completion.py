@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(BASH is None, reason="no bash here")
 
 @pytest.fixture(scope="module")
 def script() -> str:
-    """What the command prints."""
+    """Provide the script that the command prints."""
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         assert board51.main(["completion", "bash"]) == 0
     return printed.getvalue()

@@ -1,4 +1,4 @@
-"""What `board51 watch` prints of a message."""
+"""Tests of the text that `board51 watch` prints of a message."""
 
 from __future__ import annotations
 

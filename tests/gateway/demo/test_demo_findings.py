@@ -1,4 +1,4 @@
-"""What the demo says about flights, from a log that is made here with errors known beforehand."""
+"""Tests of the demo's statements about flights, from a log that is made here with errors known beforehand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a rule of the page says holds for the firmware in Python and for the one in C."""
+"""Each rule of the page holds for the firmware in Python and for the one in C."""
 
 from __future__ import annotations
 

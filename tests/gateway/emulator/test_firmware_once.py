@@ -74,7 +74,7 @@ class RetryingHost(RuleBasedStateMachine):
 
     @invariant()
     def executed_once(self) -> None:
-        """As many captures as distinct commands, and the same answer to the same command."""
+        """Check that captures are as many as distinct commands, and that the same command gets the same answer."""
         self.host.run(15, alive=False)
         executions = sum(event.int("code") == 10 for event in self.host.events)
         assert executions == self.delivered

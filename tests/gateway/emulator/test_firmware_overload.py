@@ -1,4 +1,4 @@
-"""More commands than the budget of a tick, or than the line has room for answers: rules 1, 4, 5 and 13."""
+"""Tests of more commands than a tick's budget, or than the line has room to answer: rules 1, 4, 5 and 13."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def words(line: Line, folder: Path, *more: str) -> list[str]:
 
 
 def begun(line: Line, folder: Path) -> subprocess.Popen[str]:
-    """In a process of its own, which ends with the line at the latest."""
+    """Start an investigation in a process of its own, which ends with the line at the latest."""
     process = subprocess.Popen(
         [sys.executable, "-m", "board51", *words(line, folder)],
         env={**os.environ, "PYTHONPATH": str(ROOT)},

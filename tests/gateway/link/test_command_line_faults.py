@@ -47,7 +47,7 @@ class SocketBoard(ScriptedBoard):
 
 
 def modes(board: ScriptedBoard) -> list[int]:
-    """Of each SET_MODE; the repetitions of one have its id."""
+    """Return the mode of each SET_MODE; the repetitions of one have its id and do not count."""
     return list({m.int("id"): m.int("mode") for m in board.received if m.name == "SET_MODE"}.values())
 
 
@@ -56,7 +56,7 @@ def unanswered(reply: pb.CommandReply) -> pb.CommandReply | None:
 
 
 def ping_after(board: ScriptedBoard) -> None:
-    """Until the board has read what was written before now."""
+    """Wait until the board has read everything that was written before now."""
     count = board.names().count("PING")
     wait_for(lambda: board.names().count("PING") > count + 1, "PINGs")
 

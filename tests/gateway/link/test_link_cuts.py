@@ -1,4 +1,4 @@
-"""What goes on to bus and log does not depend on how the bytes of a board are cut into reads."""
+"""The output to bus and log does not depend on how the bytes of a board are cut into reads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One board on a real pty behind the serial thread: states, reasons, sign of life, commands."""
+"""Tests of one board on a real pty behind the serial thread: states, reasons, sign of life, commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What comes after the serial thread has ended: a late command, a port that opens late."""
+"""Tests of the time after the end of the serial thread: a late command, a port that opens late."""
 
 from __future__ import annotations
 

@@ -77,12 +77,12 @@ def archive(folder: Path, address: str, server: S3Server) -> Tally:
 
 
 def addresses(folder: Path, condition: str = "") -> dict[str, str]:
-    """What the catalogue says of the archive, by file."""
+    """Return the address in the archive that the catalogue gives for each file."""
     return dict(query(folder, selection(condition, ("file", "archived"))).rows)
 
 
 def objects(server: S3Server, address: str) -> dict[str, bytes]:
-    """What another program finds in the bucket."""
+    """Return the objects that another program finds in the bucket, by name."""
     prefix, store = address.removeprefix(f"s3://{BUCKET}/"), server.store()
     names = [item["path"] for items in store.list(prefix) for item in items]
     return {name.removeprefix(f"{prefix}/"): bytes(store.get(name).bytes()) for name in names}

@@ -28,7 +28,7 @@ def state(tick: int, session: int, *, mode: pb.Mode = pb.MODE_CLOSED_LOOP) -> pb
 
 
 def write(path: Path, board: str = "rig", *, ticks: Sequence[int] = range(100), nis: float = 2.0) -> Path:
-    """One session in closed loop, its twin off by 3 um; a second one, in which the board only idles."""
+    """Write one session in closed loop, its twin off by 3 um, and a second one in which the board only idles."""
     writer, at_ns = LogWriter(path), START_NS
 
     def put(

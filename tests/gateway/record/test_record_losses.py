@@ -1,4 +1,4 @@
-"""What a full disk and a kill cost a log: as little as they must."""
+"""A full disk and a kill cost a log as little as they must."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def intact(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 
 
 def save(data: bytes, folder: Path) -> tuple[list[object], Path] | None:
-    """What recover saves of `data`; None where it says that nothing can be."""
+    """Return the records and the log that recover saves of `data`, or None where it says that nothing can be saved."""
     broken, clean = folder / "broken.mcap", folder / "clean.mcap"
     broken.write_bytes(data)
     clean.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""One fault at a time: each is found, and the answer names it."""
+"""Tests of one fault at a time: each is found, and the answer names it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a recording has missed is filled in from the lab's log: all of it, once, whatever happens in between."""
+"""The records that a recording has missed are filled in from the lab's log: all, once, whatever happens in between."""
 
 from __future__ import annotations
 

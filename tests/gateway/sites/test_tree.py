@@ -145,7 +145,7 @@ class Flight:
             self.twin.look_at_the_clock(state.t_s)
 
     def is_in(self, folder: Path) -> bool:
-        """Whether a log has all that the twin has sent."""
+        """Return whether the log in `folder` has everything that the twin has sent."""
         return len(messages(folder, "twin/divergence")) == self.twin.samples
 
 

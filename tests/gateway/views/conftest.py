@@ -1,4 +1,4 @@
-"""What is slow to make and serves many tests of views: a server takes 2 s of processor time to start."""
+"""Fixtures that are slow to make and serve many tests of views: a server takes 2 s of processor time to start."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiServer]:
 
 @pytest.fixture(scope="package")
 def opcua_server() -> Iterator[Served]:
-    """At 50 Hz; anonymous clients may command, as on a loopback that somebody opened."""
+    """Provide an OPC UA server at 50 Hz; anonymous clients may command, as on a loopback that somebody opened."""
     with (
         played_gateway() as gateway,
         Served(gateway, OpcuaSettings(port=0, rate_hz=50.0, anonymous=Role.ENGINEER)) as served,
@@ -48,7 +48,7 @@ def opcua_server() -> Iterator[Served]:
 
 @pytest.fixture
 def server(opcua_server: Served) -> Served:
-    """That server; the gateway behind it accepts everything and remembers no command of another test."""
+    """Provide `opcua_server`; the gateway behind it accepts everything and remembers no command of another test."""
     opcua_server.gateway.answer = lambda _, command: pb.CommandReply(id=command.id, accepted=True, tick=7)
     opcua_server.gateway.commands.clear()
     return opcua_server

@@ -1,4 +1,4 @@
-"""What an operator acknowledges on the web page is acknowledged over OPC UA too, and the log says who."""
+"""An alarm that an operator acknowledges on the web page is acknowledged over OPC UA too, and the log says by whom."""
 
 from __future__ import annotations
 

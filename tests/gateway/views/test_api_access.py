@@ -1,4 +1,4 @@
-"""Who gets in at the API, and that a STOP always does: programs against the running server."""
+"""Tests of access to the API, with programs against the running server: a STOP always gets in."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the API refuses, and how it says so: programs against the running server."""
+"""Tests of the API's refusals and of their answers, with programs against the running server."""
 
 from __future__ import annotations
 

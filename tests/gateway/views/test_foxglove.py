@@ -53,7 +53,7 @@ async def listen(port: int, topic: str, count: int = 20) -> tuple[dict[str, Any]
 
 
 def decode(channel: dict[str, Any], payload: bytes) -> Any:
-    """As a client does that knows nothing but what the server said."""
+    """Decode `payload` like a client that knows only what the server said."""
     files = descriptor_pb2.FileDescriptorSet.FromString(base64.b64decode(channel["schema"]))
     pool = descriptor_pool.DescriptorPool()
     for file in files.file:

@@ -1,4 +1,4 @@
-"""What each role may do at the web page: commands, alarms, logs, reports, models, and STOP before all."""
+"""The rights of each role at the web page: commands, alarms, logs, reports, models, and STOP before all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page advises people to type exists: every command and option in the texts that it can show."""
+"""Every command and option that the page advises people to type exists, in all the texts that it can show."""
 
 from __future__ import annotations
 

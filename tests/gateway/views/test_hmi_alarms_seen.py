@@ -28,7 +28,7 @@ DIVERGENCE = pb.Divergence(
 
 
 def answer(gateway: PlayedGateway, key: str, command: pb.Command) -> pb.CommandReply:
-    """As the gateway does it: what was accepted is recorded for every view."""
+    """Accept a command as the gateway does: it is recorded for every view."""
     reply = pb.CommandReply(id=command.id, accepted=True, tick=7)
     record = pb.CommandRecord(command=command, reply=reply, received_ns=time.time_ns())
     gateway.send("command/record", record, key.split("/")[1])

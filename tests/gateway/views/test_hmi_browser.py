@@ -59,7 +59,7 @@ def bus(rig: Rig) -> Iterator[Bus]:
 
 @pytest.fixture(scope="module")
 def operators_tab(browser: Browser) -> Iterator[Page]:
-    """One tab for all tests, as an operator's; no script in it may fail."""
+    """Provide one tab for all tests, like an operator's; no script in it may fail."""
     with open_tab(browser) as page:
         yield page
 

@@ -1,4 +1,4 @@
-"""What a person sees and presses on the pages of models and reports, in a real browser; the gateway is played."""
+"""Tests of the model and report pages, as a person sees and presses them in a real browser; the gateway is played."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a model to gains on the board, by the buttons of the page, on an emulated rig; and a choice of two models."""
+"""Tests of the page's buttons from a model to gains on the board, on an emulated rig; and of a choice of two models."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page of ours would not send to the web page, and what the server answers: plain HTTP and WebSocket clients."""
+"""Tests of requests that a page of ours would not send, and of the answers, with plain HTTP and WebSocket clients."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def close_loop(bus: Bus) -> None:
 
 
 def count_commands(bus: Bus, what: str) -> int:
-    """By the page."""
+    """Count the commands of the kind `what` that the page has sent."""
     records = [record for record in bus.messages["rig/command/record"] if record.command.who != "test"]
     return sum(record.command.WhichOneof("what") == what for record in records)
 

@@ -50,7 +50,7 @@ class Plant:
         return process
 
     def records(self) -> list[pb.CommandRecord]:
-        """What the gateway's log says of commands; call it when the gateway has ended."""
+        """Return the command records in the gateway's log; call it when the gateway has ended."""
         logs = sorted((self.folder / "logs").glob("*.mcap"))
         return [record.message for record in read(logs, topics=("command/record",))]  # type: ignore[misc]  # by topic
 

@@ -1,4 +1,4 @@
-"""Who gets in at the web page, and for how long: passwords, cookies, sessions, where a login leads."""
+"""Tests of the login at the web page: passwords, cookies, sessions and their duration, and the page that follows."""
 
 from __future__ import annotations
 

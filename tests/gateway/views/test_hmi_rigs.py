@@ -1,4 +1,4 @@
-"""Which rigs a page shows and stops: never a recording beside a live rig.  And the range of their reference."""
+"""Tests of the rigs that a page shows and stops, never a recording beside a live rig, and of their reference range."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person sees and can reach on every page, in a real browser; the gateway behind it is played."""
+"""Tests of everything that a person sees and reaches on the pages, in a real browser; the gateway behind is played."""
 
 from __future__ import annotations
 

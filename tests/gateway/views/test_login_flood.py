@@ -30,7 +30,7 @@ def port(tmp_path: Path) -> Iterator[int]:
 
 
 def visitor(port: int, address: str) -> Page:
-    """One that comes from `address`: all of 127.0.0.0/8 is this machine."""
+    """Return a visitor that comes from `address`: all of 127.0.0.0/8 is this machine."""
     page = Page(port)
     no_leftovers = httpx.Limits(max_keepalive_connections=0)
     transport = httpx.HTTPTransport(local_address=address, verify=False, limits=no_leftovers)

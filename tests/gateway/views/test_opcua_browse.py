@@ -117,7 +117,7 @@ async def conditions(client: Peer) -> list[ua.NodeId]:
 
 
 def faults_of(node: ua.NodeId, entry: NodeEntry, nodes: dict[ua.NodeId, NodeEntry]) -> list[str]:
-    """What is wrong with a node of ours."""
+    """Return the faults of one of the server's own nodes."""
     kind, name = ua.NodeClass(entry.value(A.NodeClass)), node.to_string()
     faults = [f"{name}: no {a.name}" for a in (A.BrowseName, A.DisplayName, A.Description) if not text(entry.value(a))]
     typed = entry.to(O.HasTypeDefinition)
@@ -150,7 +150,7 @@ HIERARCHICAL = {O.Organizes, O.HasComponent, O.HasProperty, O.HasSubtype, O.HasA
 
 
 def faults_of_value(entry: NodeEntry, nodes: dict[ua.NodeId, NodeEntry]) -> list[str]:
-    """What is wrong with type and value of a variable."""
+    """Return the faults of type and value of a variable."""
     value, data_type, rank = entry.attributes[A.Value], entry.value(A.DataType), entry.value(A.ValueRank)
     if data_type not in nodes:
         return [f"data type {data_type} is not there"]

@@ -23,7 +23,7 @@ def _limits(server: Served) -> None:
 
 
 def answer(_: str, command: pb.Command) -> pb.CommandReply:
-    """As a gateway with limits of 0.3 to 5.2 mm."""
+    """Answer like a gateway with limits of 0.3 to 5.2 mm."""
     if command.WhichOneof("what") == "set_reference" and not 0.3e-3 <= command.set_reference.x_ref_m <= 5.2e-3:
         text = "x_ref is outside the gateway's limits."
         return pb.CommandReply(id=command.id, refused_by="gateway", reason="out-of-range", text=text)

@@ -1,4 +1,4 @@
-"""What the address space is made of: units, descriptions, status codes, stamps, history, commands.  No server."""
+"""Tests of the address space without a server: units, descriptions, status codes, stamps, history, commands."""
 
 from __future__ import annotations
 

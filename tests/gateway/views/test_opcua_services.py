@@ -1,4 +1,4 @@
-"""What OPC UA's services ask of a server (Part 4, Part 9): timestamps, types, filters; over a real bus."""
+"""Tests of the services of OPC UA (Part 4, Part 9) over a real bus: timestamps, types, filters."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_timestamps_that_do_not_exist_are_refused(server: Served) -> None:
 
 
 def history(client: Peer, timestamps: ua.TimestampsToReturn) -> ua.HistoryReadParameters:
-    """Of the last minute."""
+    """Return a request for the values of the last minute."""
     details = ua.ReadRawModifiedDetails(IsReadModified=False, NumValuesPerNode=100)
     details.StartTime, details.EndTime = datetime.now(UTC) - timedelta(minutes=1), datetime.now(UTC)
     parameters = ua.HistoryReadParameters(HistoryReadDetails=details, TimestampsToReturn=timestamps)

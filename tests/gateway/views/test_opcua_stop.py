@@ -19,7 +19,7 @@ CLOSED = ua.Variant(2, ua.VariantType.UInt32)
 
 
 def answer(key: str, command: pb.Command) -> pb.CommandReply | None:
-    """What is for `rig` and STOP; the commands for `dead` wait."""
+    """Answer commands for `rig` and STOP; the commands for `dead` wait."""
     if "/dead/" in key and command.WhichOneof("what") != "stop":
         return None
     return pb.CommandReply(id=command.id, accepted=True, tick=7)

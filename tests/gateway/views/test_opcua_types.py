@@ -28,7 +28,7 @@ IN_UNITS_OF_SIGNAL = (".error", ".rolling_rmse", ".rolling_mean")
 
 
 class Declared:
-    """What the file declares below RigType, read by a server with other numbers of the namespaces than ours."""
+    """The declarations of the file below RigType, read by a server with other numbers of the namespaces than ours."""
 
     def __init__(self) -> None:
         self.server = Server()

@@ -1,4 +1,4 @@
-"""Whether the numbers of one diagnosis.json agree with each other.  Pure: the file's content in, contradictions out.
+"""Checks that the numbers of one diagnosis.json agree.  Pure: the file's content in, contradictions out.
 
 Rule 1: shares are parts of one whole, and with what is left they make it up.
 Rule 2: a verdict says what the numbers say, and no name is surer than the verdict allows.
@@ -20,7 +20,7 @@ _ROUNDING = 1e-6
 
 
 def disagreements(data: Mapping[str, Any]) -> list[str]:
-    """What contradicts what; empty where all agrees."""
+    """Return the contradictions; empty where all agrees."""
     return [*_shares(data), *_verdict(data), *_confidence(data), *_gains(data), *_judge_errors(data), *_sentence(data)]
 
 

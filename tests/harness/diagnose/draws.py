@@ -1,4 +1,4 @@
-"""What is hidden in which campaign: everything from one seed that the code under test never sees.
+"""The draw of what each campaign hides: everything from one seed that the code under test never sees.
 
     hidden = draw_hidden(17, part="causes")
     record_hidden(folder, hidden)
@@ -40,7 +40,7 @@ _DRAW = 26
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hidden:
-    """One campaign to be recorded, and the truth about it."""
+    """A campaign to be recorded, and the truth about it."""
 
     part: Part
     seed: int  # of rig, noise, excitation
@@ -128,7 +128,7 @@ def record_hidden(folder: Path, hidden: Hidden, *, quick: bool = False) -> None:
 
 
 def in_the_data(hidden: Hidden, folder: Path, *, quick: bool = False) -> bool:
-    """Whether the recordings would be others without the effect: same rig, noise and excitation, more than 3 counts.
+    """Return whether the effect changes the recordings by more than 3 counts: same rig, noise and excitation.
 
     Args:
         hidden: One effect.

@@ -48,7 +48,7 @@ def force(rig: Rig, i: float, gap: float) -> float:
 
 
 def hall(rig: Rig, x: float) -> float:
-    """What the sensor shows, right at both ends of the travel: the field of the ball's magnet falls exponentially."""
+    """Return the reading of the sensor, right at both ends: the field of the ball's magnet falls exponentially."""
     bend = rig.hall_bend * 4.0
     return rig.travel * math.expm1(bend * x / rig.travel) / math.expm1(bend)
 

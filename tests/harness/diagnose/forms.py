@@ -16,7 +16,7 @@ from types import MappingProxyType
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Form:
-    """One formula: whose effect it is, how strong, and where it comes from."""
+    """A formula: its effect, its range of strengths and its source."""
 
     effect: str  # of the catalogue
     medium: float

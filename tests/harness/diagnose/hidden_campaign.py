@@ -80,12 +80,12 @@ class Bench(Protocol):
         """i_c at 25 kHz around a step of u_c; rows t, u_c, i_c, shape (CAPTURE_COUNT, 3)."""
 
     def change(self, effects: Mapping[str, float]) -> None:
-        """From now on the rig has these effects."""
+        """Give the rig these effects from now on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recorded:
-    """One file of the folder."""
+    """A file of the folder."""
 
     name: str
     kind: str
@@ -118,7 +118,7 @@ def draw_rig(seed: int, plant: PlantName = "emulator") -> PlantConstants:
 
 
 def believed_rig(rig: PlantConstants, seed: int) -> PlantConstants:
-    """What the designer of the loop took the rig for: a few percent off, so that his gains do not tell the truth."""
+    """Return the rig that the loop's designer assumed: a few percent off, so that his gains do not tell the truth."""
     rng = np.random.default_rng([_BELIEF, seed])
     return replace(
         rig,

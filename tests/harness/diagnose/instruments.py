@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Instrument:
-    """What it adds to a channel, in the channel's unit."""
+    """The errors that an instrument adds to a channel, in the channel's unit."""
 
     noise: float = 0.0  # standard deviation, on top of the recorded one
     tail: float = np.inf  # degrees of freedom of Student's t, scaled to that standard deviation

@@ -66,7 +66,7 @@ def diagnosis(
     quick: bool = False,
     seconds: float = 8.0,
 ) -> Diagnosis:
-    """Of a rig with that cause; `extended`: whether it was found."""
+    """Return the diagnosis of a rig with that cause; `extended`: whether it was found."""
     rig = strong(cause, value, QUIET)
     baseline = replace(QUIET, process_a_m_s2=LARGE_M_S2)
     fit = gather([steps(rig, seed=1, seconds=seconds)], PLANT)

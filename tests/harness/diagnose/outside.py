@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outside:
-    """One effect: its strength and what it does."""
+    """An effect: its strength and what it does."""
 
     strength: float
     unit: str

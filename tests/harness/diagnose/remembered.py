@@ -165,7 +165,7 @@ _DIGESTS: dict[int, tuple[Any, str]] = {}
 
 
 def _digest(owner: Any, evidence: Any) -> str:
-    """Of the samples and the points of rest; `owner` stays alive with its digest, so that its id is nobody else's."""
+    """Return a digest of samples and points of rest; `owner` stays alive with it, so that its id is nobody else's."""
     if id(owner) not in _DIGESTS:
         digest = hashlib.sha256()
         for column in evidence.samples:

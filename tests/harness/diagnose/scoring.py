@@ -1,4 +1,4 @@
-"""How a diagnosis is judged against what was hidden.  Pure: truth and diagnosis.json in, judgement out.
+"""The judgement of a diagnosis against the hidden truth.  Pure: truth and diagnosis.json in, judgement out.
 
 Rule 1: a single cause is right if it is named first, or is in the class (name and `indistinguishable_from`) of the
         first, and that class has at most 3 members.
@@ -30,7 +30,7 @@ NOT_IN_THE_DATA = "not-in-the-data"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Named:
-    """One entry of `causes`."""
+    """An entry of `causes`."""
 
     name: str
     members: tuple[str, ...]  # of its class, itself first
@@ -39,7 +39,7 @@ class Named:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What a diagnosis said, as far as it is judged."""
+    """The parts of a diagnosis that are judged."""
 
     verdict: str
     causes: tuple[Named, ...] = ()
@@ -54,7 +54,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
-    """One campaign judged; a field that does not apply is None."""
+    """A judged campaign; a field that does not apply is None."""
 
     right: bool | None  # the campaign's own question answered; None: said to be not testable, or not in the data
     first: bool  # singles: the truth is the first name itself
@@ -90,7 +90,7 @@ class Outcome:
     judgement: Judgement | None = field(default=None)
 
     def to_json(self) -> dict[str, Any]:
-        """For one line of a file."""
+        """Return the outcome as one line of a file has it."""
         return asdict(self)
 
     @classmethod
@@ -199,7 +199,7 @@ def removed_share(answer: Answer) -> float | None:
 
 
 def _class(cause: Named) -> tuple[str, ...]:
-    """What the cause stands for; a class of more than 3 stands for its name alone."""
+    """Return the causes that a named cause stands for; a class of more than 3 stands for its name alone."""
     return cause.members if len(cause.members) <= MAX_CLASS else (cause.name,)
 
 

@@ -122,7 +122,7 @@ COIL, F, X, V, W, S, H, Q, QV, HELD, CONTACT, LOAD = range(12)
 
 @njit
 def reading(x: float, i: float, t: float, c: Numbers) -> float:
-    """What the position sensor tends to, m."""
+    """Return the reading that the position sensor tends to, m."""
     bowed = x + c.bow * math.sin(math.pi * min(max(x / c.travel, 0.0), 1.0))
     warm = c.warm_up * (1.0 - math.exp(-t / DRIFT_TIME_S)) if c.warm_up != 0.0 else 0.0
     hum = c.hum * math.sin(2.0 * math.pi * HUM_HZ * t) if c.hum != 0.0 else 0.0

@@ -1,4 +1,4 @@
-"""What each number of `twin/settings/diagnosis.py` does to the answers: halved and doubled, one at a time.
+"""The influence of each number of `twin/settings/diagnosis.py` on the answers: halved and doubled, one at a time.
 
     python -m tests.harness.diagnose.sensitivity --results sensitivity.jsonl --minutes 50    made or continued
     python -m tests.harness.diagnose.sensitivity --results sensitivity.jsonl --minutes 0     the table of what is there
@@ -62,7 +62,7 @@ VARIED_FULL = ("PAIR_SHARE", "PAIR_PROMISE", "CHANGE_GAIN", "OUTLIER_GAIN")
 
 @contextmanager
 def varied(name: str, factor: float) -> Iterator[None]:
-    """One setting times a factor."""
+    """Multiply one setting by a factor."""
     before = getattr(settings, name)
     setattr(settings, name, factor * before)
     try:

@@ -216,7 +216,7 @@ def reliability(outcomes: Iterable[Outcome]) -> list[tuple[float, float, Rate]]:
 
 
 def confusion(outcomes: Iterable[Outcome]) -> dict[str, tuple[int, Counter[str]]]:
-    """For each hidden single effect (`none` for a null): how often the answer was right, and what was said."""
+    """Count, for each hidden single effect (`none` for a null), the right answers and the answers of each column."""
     table: dict[str, tuple[int, Counter[str]]] = {}
     for o in outcomes:
         if o.part == "composites" or o.judgement is None:

@@ -144,7 +144,7 @@ def magnet(y: FloatArray, x: float, c: Constants) -> float:
 
 @njit
 def rest_of(y: FloatArray, c: Constants) -> None:
-    """What is held back, where nothing moves: the field as it belongs to i_c and x."""
+    """Set the states that are held back to their values at rest: the field as it belongs to i_c and x."""
     gap, i = c.plane - y[X], y[COIL]
     if c.kind == EDDY_FORCE:
         y[SLOW] = law_of_gap(gap, c) * i * i
@@ -159,7 +159,7 @@ def rest_of(y: FloatArray, c: Constants) -> None:
 
 @njit
 def reading(x: float, c: Constants) -> float:
-    """What the position sensor tends to, m."""
+    """Return the reading that the position sensor tends to, m."""
     if c.kind == SINE:
         return x + c.size * math.sin(2.0 * math.pi * min(max(x / c.travel, 0.0), 1.0))
     if c.kind != CUBIC:

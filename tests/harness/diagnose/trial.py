@@ -1,4 +1,4 @@
-"""One trial: hide an effect in a folder, give `board51 diagnose` that folder and nothing else, judge the answer."""
+"""A trial: hide an effect in a folder, give `board51 diagnose` that folder and nothing else, judge the answer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TIMEOUT_S = 900.0
 
 
 def program_digest() -> str:
-    """Of the code that decides; results of different programs are never counted together."""
+    """Return a digest of the code that decides; results of different programs are never counted together."""
     digest = hashlib.sha256()
     for folder in ("diagnosis", "estimation", "evidence", "identification", "inference", "model", "settings"):
         for path in sorted((ROOT / "twin" / folder).rglob("*.py")):
@@ -32,7 +32,7 @@ def program_digest() -> str:
 
 
 def diagnose_command(campaign: Path, out: Path, *, quick: bool = False, without: Sequence[str] = ()) -> list[str]:
-    """What a user would type; one thread, because trials run side by side."""
+    """Return the command that a user would type; one thread, because trials run side by side."""
     return [
         *(sys.executable, "-m", "board51", "diagnose", str(campaign), "--out", str(out), "--workers", "1"),
         *(["--quick"] if quick else []),
@@ -41,7 +41,7 @@ def diagnose_command(campaign: Path, out: Path, *, quick: bool = False, without:
 
 
 def clean_environment() -> dict[str, str]:
-    """Without the variables that point at other data; the libraries' own threads are off."""
+    """Return the environment without the variables that point at other data; the libraries' own threads are off."""
     retained = {name: value for name, value in os.environ.items() if not name.startswith("BOARD51_")}
     return retained | {
         "OMP_NUM_THREADS": "1",

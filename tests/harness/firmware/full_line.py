@@ -16,7 +16,7 @@ BITS = 10  # of a byte
 
 @dataclass(frozen=True, slots=True)
 class Fate:
-    """What became of the frames of a full line."""
+    """The fates of the frames of a full line."""
 
     sent: int
     answered: int

@@ -18,7 +18,7 @@ _MODIFY = {"inc", "dec", "setb", "clr", "cpl", "anl", "orl", "xrl", "djnz", "jbc
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """One instruction and a byte of memory."""
+    """An access of one instruction to a byte of memory."""
 
     function: str
     variable: str

@@ -63,7 +63,7 @@ class Readings(AnalogSide):
 
 @dataclass
 class Sent:
-    """What a board has sent: frames of each queue in their order."""
+    """The output of a board: frames of each queue in their order."""
 
     frames: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
     _rest: bytes = b""
@@ -79,7 +79,7 @@ class Sent:
 
 
 def first_look_us() -> int:
-    """When a chip begins its tick 0, us after power-on."""
+    """Return the time at which a chip begins its tick 0, in us after power-on."""
     readings = Readings(0, 0, 10**9)
     board = Mcs51Board(readings)
     while not readings.looks:

@@ -52,7 +52,7 @@ _LANES: dict[str, tuple[tuple[int, int, str], ...]] = {
 
 
 class Row(NamedTuple):
-    """One of the table."""
+    """A row of the table."""
 
     event: str
     after: dict[Mode, Mode]

@@ -51,7 +51,7 @@ _MAX_CPU_S = 150  # ten times what a survivor takes
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """One change."""
+    """A single change in the C source."""
 
     file: str
     at: int

@@ -69,7 +69,7 @@ class Wandering(AnalogSide):
 
 
 class Script:
-    """What happens before each tick: bytes at a time within it, faults, resets."""
+    """The actions before each tick: bytes at a time within it, faults, resets."""
 
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)
@@ -214,7 +214,7 @@ class Script:
 
 @dataclass
 class Traffic:
-    """What a run has met, by name, and how long it was."""
+    """The length of a run, and the counts of what it has met, by name."""
 
     ticks: int = 0
     names: Counter[str] = field(default_factory=Counter)

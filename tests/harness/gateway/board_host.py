@@ -105,11 +105,11 @@ class Host:
         return states
 
     def request(self, name: str, /, **fields: Value) -> Message:
-        """One command, one tick, its answer."""
+        """Send one command, let one tick pass, and return the answer."""
         return self.send(frame(name, id=self.next_id(), **fields))
 
     def send(self, data: bytes) -> Message:
-        """One frame, one tick, its answer."""
+        """Send one frame, let one tick pass, and return the answer."""
         before = len(self.answers)
         self.firmware.feed(data)
         self.run(1, alive=False)

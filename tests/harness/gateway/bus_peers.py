@@ -46,11 +46,11 @@ class PlayedGateway:
         self._queryable = session.declare_queryable("board51/*/command/**", self._on_query)
 
     def stop_answering(self) -> None:
-        """As if the gateway had ended, and not its router."""
+        """Stop answering, as if the gateway had ended, but not its router."""
         self._queryable.undeclare()
 
     def send(self, topic: str, message: Message, board: str = "rig") -> None:
-        """As a gateway and a twin do, ticks in a batch, too: blocking, so that nothing is lost here."""
+        """Send as a gateway and a twin do, ticks in a batch, too. Sending blocks, so that nothing is lost here."""
         data = message.SerializeToString()
         self.put(topic, data, board)
         if topic in BATCH_OF:
@@ -62,7 +62,7 @@ class PlayedGateway:
         self.session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def state(self, board: str = "rig", **fields: object) -> None:
-        """One tick."""
+        """Send the state of one more tick."""
         self.tick += 1
         values: dict[str, object] = {
             "tick": self.tick, "sequence": self.tick & 0xFFFF, "session": 1, "t_s": self.tick * 2e-3,

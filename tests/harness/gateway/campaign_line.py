@@ -38,11 +38,11 @@ class Line:
     started: list[subprocess.Popen[str]] = field(default_factory=list)
 
     def run(self, folder: Path, *more: str) -> int:
-        """In this process; the exit code."""
+        """Run a campaign in this process, and return its exit code."""
         return board51.main(words(self.endpoint, folder, "--plant", str(self.plant), *more))
 
     def start(self, folder: Path, *more: str) -> subprocess.Popen[str]:
-        """In a process of its own, which ends with the line at the latest."""
+        """Start a campaign in a process of its own, which ends with the line at the latest."""
         self.started.append(start(self.endpoint, folder, "--plant", str(self.plant), *more))
         return self.started[-1]
 
@@ -109,7 +109,7 @@ def emulated_line(
 
 
 def summary(captured: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    """What `--json` printed."""
+    """Return the table that `--json` printed."""
     table: dict[str, Any] = json.loads(captured.readouterr().out)
     return table
 

@@ -1,4 +1,4 @@
-"""What stands around a gateway in its tests: a scripted board on a real pty, a collecting sink, a running daemon."""
+"""The surroundings of a gateway in its tests: a scripted board on a real pty, a collecting sink, a running daemon."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def parameters_values() -> dict[str, Any]:
 
 
 def usual_answer(command: Message, tick: int) -> bytes:
-    """What a board in good order answers."""
+    """Return the answer of a board in good order."""
     number = command.int("id")
     match command.name:
         case "HELLO":
@@ -147,7 +147,7 @@ class ScriptedBoard:
 
 
 def anybody() -> Sender:
-    """Who sends now, on a bus that is not guarded."""
+    """Return a sender that sends now, on a bus that is not guarded."""
     return Sender(name="", role=None, arrived_ns=time.time_ns(), arrived_s=time.monotonic(), started_ns=0)
 
 
@@ -193,7 +193,10 @@ class Bus:
         return self.messages[f"{board}/state"]
 
     def bad_frames_while_streaming(self, board: str = "rig") -> dict[str, int]:
-        """By cause.  Opening a line on which a board already sends cuts one frame: that one comes before."""
+        """Return the counts of bad frames while streaming, by cause.
+
+        Opening a line on which a board already sends cuts one frame: that one comes before.
+        """
         streaming = [s.bad_frames for s in self.messages[f"{board}/status"] if s.link == "streaming"]
         first, last = streaming[0], streaming[-1]
         return {cause: last[cause] - first.get(cause, 0) for cause in last if last[cause] != first.get(cause, 0)}

@@ -1,4 +1,4 @@
-"""What stands around a web page in its tests: `board51` processes, a client that behaves as a page, its WebSockets."""
+"""The surroundings of a web page in its tests: `board51` processes, a client that behaves as a page, its WebSockets."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Process:
         return self._process.wait(HANG_S)
 
     def wait(self) -> int:
-        """Its exit code, when it has ended by itself."""
+        """Wait until the process has ended by itself, and return its exit code."""
         return self._process.wait(HANG_S)
 
     def kill(self) -> None:
@@ -78,7 +78,7 @@ class Process:
 
 
 class Page:
-    """One visitor: a cookie jar, our origin, and the token that a page bears."""
+    """A visitor: a cookie jar, our origin, and the token that a page bears."""
 
     def __init__(self, port: int, *, ca: Path | None = None) -> None:
         self.port = port
@@ -107,7 +107,7 @@ class Page:
         return answer.text
 
     def post(self, path: str, body: object = None, **headers: str) -> httpx.Response:
-        """As hmi.js does it; a header given as "" is left out."""
+        """Post as hmi.js does; a header given as "" is left out."""
         usual = {"origin": self.base, "x-board51-token": self.token, "content-type": "application/json"}
         retained = {name: value for name, value in {**usual, **headers}.items() if value}
         return self.http.post(path, content=json.dumps({} if body is None else body), headers=retained)

@@ -32,7 +32,7 @@ _GAINS = ROW_OF_NAME["SET_GAINS"].type
 
 @dataclass(slots=True)
 class Wire:
-    """One direction: a frame is lost with `loss`; in a stall frames wait and then come all at once.
+    """A direction of the line: a frame is lost with `loss`; in a stall frames wait and then come all at once.
 
     `loss` is a probability per frame, `stall` one per tick; the longest stall lasts `stall_ticks`.
     """
@@ -179,7 +179,7 @@ class LossyRig:
 
 @dataclass(slots=True)
 class Account:
-    """What became of numbered commands."""
+    """The fate of numbered commands."""
 
     executed: Counter[str] = field(default_factory=Counter)  # by the outcome that the caller was told
     outcomes: Counter[str] = field(default_factory=Counter)  # outcomes

@@ -124,7 +124,10 @@ async def peer(port: int, **options: Any) -> AsyncIterator[Peer]:
 
 
 async def _connect(client: Client) -> None:
-    """As a client that goes on until it is in: the server closes a connection that says nothing for 10 s."""
+    """Connect, and try again until the client is in.
+
+    The server closes a connection that says nothing for 10 s.
+    """
     deadline_s = time.monotonic() + HANG_S
     while True:
         try:
@@ -204,7 +207,10 @@ async def monitor(
     filter_: Any = None,
     attribute: ua.AttributeIds = ua.AttributeIds.Value,
 ) -> list[ua.MonitoredItemCreateResult]:
-    """Like `subscribe`, with the timestamps and the filter of the caller's: asyncua's client always asks for both."""
+    """Subscribe as `subscribe` does, but with the timestamps and the filter of the caller.
+
+    The client of asyncua always asks for both timestamps.
+    """
 
     def published(result: ua.PublishResult) -> None:
         for data in result.NotificationMessage.NotificationData or []:

@@ -69,7 +69,7 @@ class Rig:
         return reply
 
     def settle(self) -> None:
-        """What the handler sends, answered until there is nothing more to say."""
+        """Answer what the handler sends until there is nothing more to say."""
         while True:
             for event in self.session.take_outcomes():
                 assert isinstance(event, Answer)

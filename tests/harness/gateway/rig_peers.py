@@ -82,15 +82,18 @@ class Network:
             thread.join(10.0)
 
     def cut(self) -> None:
-        """Nothing passes, nothing says so: as when a phone sleeps, or a cable is pulled."""
+        """Let nothing pass, without a sign of it, as when a phone sleeps or a cable is pulled."""
         self._open.clear()
 
     def restore(self) -> None:
-        """What was held up goes on its way."""
+        """Let everything that was held up go on its way."""
         self._open.set()
 
     def lose(self) -> None:
-        """As `restore`, but nothing ever passes over the connections of before: whoever had them on a list forgot."""
+        """Restore the network, but let nothing ever pass over the earlier connections.
+
+        Whoever had them on a list has forgotten them.
+        """
         self._lost.append(self._open)
         self._open = threading.Event()
         self._open.set()
@@ -104,7 +107,7 @@ class Network:
         self._sockets.clear()
 
     def hold_answers(self, to: bytes) -> None:
-        """From now on, on connections whose requests have `to` in them."""
+        """Hold answers up from now on, on connections whose requests have `to` in them."""
         self._held = to
         self._answers.clear()
 

@@ -27,7 +27,10 @@ class Site:
 
 
 def stop_turns_the_coil_off(site: Site) -> None:
-    """As a board does it: samples say so. A STOP that comes after its test moves nothing of the next one."""
+    """Make a STOP turn the coil off as a board does: samples say so.
+
+    A STOP that comes after its test moves nothing of the next one.
+    """
     mode = site.mode
 
     def answer(_: str, command: pb.Command) -> pb.CommandReply:

@@ -50,7 +50,7 @@ class Viewers:
             self._sockets.append(browser)
 
     def statuses(self) -> list[int]:
-        """Of those that were answered so far."""
+        """Return the statuses of the requests that were answered so far."""
         codes = []
         for browser in self._sockets:
             browser.setblocking(False)

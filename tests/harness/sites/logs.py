@@ -31,7 +31,10 @@ Records = list[tuple[str, bytes, int]]
 def flight(
     count: int, *, board: str = "rig1", session: int = 7, first: int = 1000, seed: int = 1, began_ns: int = BEGAN_NS
 ) -> Records:
-    """What a gateway logs of `count` ticks: states, a twin, each second a status and a model, now and then an event."""
+    """Return a gateway's records of `count` ticks.
+
+    They are states, a twin, each second a status and a model, and now and then an event.
+    """
     draw, records = random.Random(seed), Records()
 
     def add(topic: str, message: Message, now_ns: int) -> None:
@@ -84,13 +87,13 @@ def held(folder: Path, *, before_ns: int = 1 << 64, parts: str = "*.mcap") -> Co
 
 
 def missing(lab: Path, plant: Path, *, before_ns: int = 1 << 64, parts: str = "*.mcap") -> int:
-    """How many records of the lab's log the plant lacks."""
+    """Return how many records of the lab's log the plant lacks."""
     counts = held(plant, parts=parts)
     return sum(key not in counts for key in held(lab, before_ns=before_ns))
 
 
 def account(lab: Path, plant: Path) -> tuple[int, int]:
-    """How many records of the lab's log the plant lacks, and how many it has more than once."""
+    """Return how many records of the lab's log the plant lacks, and how many it has more than once."""
     return missing(lab, plant), sum(n > 1 for n in held(plant).values())
 
 

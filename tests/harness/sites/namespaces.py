@@ -25,7 +25,7 @@ _PACKET = 65536
 
 
 def why_not() -> str:
-    """Why there can be no namespaces here; empty if there can."""
+    """Return the reason why there can be no namespaces here; it is empty if there can."""
     if os.name != "posix" or not hasattr(os, "geteuid") or os.geteuid() != 0:
         return "namespaces need root on Linux"
     if not _TUN.exists():

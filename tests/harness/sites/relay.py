@@ -23,7 +23,7 @@ class Relay:
 
     @property
     def endpoint(self) -> str:
-        """Where to connect instead of to the target."""
+        """The address to connect to instead of the target."""
         return f"tcp/127.0.0.1:{self._port}"
 
     def __enter__(self) -> Self:

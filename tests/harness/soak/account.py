@@ -210,7 +210,7 @@ def _cut_off(logged: Mask, at_ns: NDArray[np.int64], happened: Sequence[Occurren
 
 
 class _Gap:
-    """What is missing at one place of one board.
+    """The samples of a board that are missing at one location.
 
     Args:
         reached: Whether each sample came as far as to be able to be there.

@@ -125,7 +125,7 @@ def _replay(stage: Stage, draw: random.Random, _: int) -> Course:
 
 
 def _campaign(stage: Stage, draw: random.Random, _: int) -> Course:
-    """One is begun, or goes on; it is interrupted and parks its ball, or it is killed, and a STOP by hand does."""
+    """Start or continue a campaign; interrupt it, so that it parks its ball, or kill it; then STOP by hand."""
     stage.campaign.start(str(stage.folder / f"campaign{stage.campaign.codes[0]}"))
     yield draw.uniform(5.0, 40.0)
     if draw.random() < 0.5:
@@ -195,7 +195,7 @@ class Weather:
 
     @property
     def counts(self) -> Counter[str]:
-        """How often each kind has happened."""
+        """Return how often each kind of fault has happened."""
         return Counter(occurrence.name for occurrence in self.happened)
 
     def blow(self, duration_s: float) -> None:

@@ -1,4 +1,4 @@
-"""What the log of a gateway says: samples, the STATE frames in the bytes it read, and the last counts of each run."""
+"""The contents of a gateway's log: samples, the STATE frames in the bytes it read, and the last counts of each run."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def numbers_of(i_c_a: NDArray[np.float64], x_m: NDArray[np.float64]) -> NDArray[
 
 
 class Fate(IntEnum):
-    """How far a sample came; each includes the ones before."""
+    """The stations of a sample; each includes the ones before."""
 
     SENSED = 0
     SENT = 1  # by the board
@@ -101,7 +101,7 @@ class NumberedPins(AnalogSide):
         self._ledger = ledger
 
     def advance(self, u_v: float, duration_s: float) -> None:
-        """Nothing moves here."""
+        """Do nothing: this plant has no motion."""
 
     def sense(self) -> tuple[float, float]:
         number = self._ledger.sense()

@@ -25,7 +25,7 @@ T_95 = 2.306  # Student's t, 95 % two-sided, BLOCKS - 2 degrees of freedom
 
 
 class Held(NamedTuple):
-    """What a process holds at a moment."""
+    """The resources that a process holds at a moment."""
 
     at_s: float
     resident_mb: float
@@ -108,7 +108,7 @@ class Service:
 
     @property
     def output(self) -> str:
-        """What it has said since its last start."""
+        """Return its output since its last start."""
         return self._file.read_bytes()[self._begin :].decode(errors="replace")
 
     def running(self) -> bool:

@@ -1,4 +1,4 @@
-"""What a soak runs on: emulated boards in this process, two gateways on one router, subscribers, a twin, disks."""
+"""The stage of a soak: emulated boards in this process, two gateways on one router, subscribers, a twin, disks."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ _DRAW, _ATTEMPTS = 33, 50
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """What is hidden in a case."""
+    """The hidden truth of a case."""
 
     case: str
     part: str

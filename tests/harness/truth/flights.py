@@ -38,7 +38,7 @@ def flights(case: Path, use: Use) -> Iterator[tuple[Record, BoolArray]]:
 
 
 def counted(t: FloatArray, x: FloatArray, travel_m: float) -> BoolArray:
-    """Which rows count, shape (n,)."""
+    """Tell which rows count, shape (n,)."""
     touches = ~((x > AT_A_STOP * travel_m) & (x < (1.0 - AT_A_STOP) * travel_m))
     last_touch = np.maximum.accumulate(np.where(touches, t, t[0]))
     rows = round(UNBROKEN_S / TICK_S)

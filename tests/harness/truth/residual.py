@@ -71,7 +71,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Regression:
-    """What a regression found."""
+    """The result of a regression."""
 
     correction: FloatArray  # e_x of the judge rows, standardised, shape (n,)
     terms: Sequence[tuple[str, str, float]]  # residual, term, weight
@@ -165,7 +165,7 @@ def python_of_pysindy() -> str:
 
 
 def absent_pysindy() -> str:
-    """Why PySINDy cannot run; empty if it can."""
+    """Return the reason why PySINDy cannot run; empty if it can."""
     try:
         process = subprocess.run([python_of_pysindy(), "-c", "import pysindy"], capture_output=True, check=False)
     except OSError as problem:

@@ -42,7 +42,7 @@ TITLES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """One answer judged; None where the question does not arise."""
+    """The scores of one answer; None where the question does not arise."""
 
     case: str
     p_truth: float

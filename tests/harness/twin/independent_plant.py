@@ -85,7 +85,7 @@ class Ball:
         return as_record(name, "closed-loop", rows)
 
     def driven(self, u: Callable[[int], float], ticks: int, *, seed: int, kind: Kind, name: str) -> Record:
-        """From rest under a given input: steps, ramps, PRBS; the ball may hit both stops."""
+        """Simulate the plant from rest under a given input: steps, ramps, PRBS; the ball may hit both stops."""
         rng = np.random.default_rng(seed)
         i, x, v = 0.0, 0.0, 0.0
         rows = []

@@ -21,7 +21,7 @@ LQI = (0.49, 1700.0, 17.7, -17600.0)
 
 @dataclass(kw_only=True)
 class Rig:
-    """One board with its plant; `run` yields a State per tick."""
+    """A board with its plant; `run` yields a State per tick."""
 
     K_c: float = 2.7507e-6
     K_A: float = 0.297

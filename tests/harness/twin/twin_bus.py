@@ -39,7 +39,7 @@ def wait_for_count(read_count: Callable[[], int], count: int, what: str, seconds
 
 
 class Subscriber:
-    """What a subscriber on everything of one site has received, by key; of each tick what its batch has.
+    """A subscriber to everything of one site: messages by key, and each tick as its batch has it.
 
     `singles` are the messages of one tick: sent only once the twin has noticed that somebody subscribes to them.
     """
@@ -64,12 +64,12 @@ class Subscriber:
 
 
 def publish(session: zenoh.Session, states: list[pb.State], *, board: str = "rig") -> None:
-    """As a gateway does: blocking, so that nothing is lost here."""
+    """Publish samples as a gateway does: blocking, so that nothing is lost here."""
     publish_to(session, topics.key("lab", board, "states"), states)
 
 
 def publish_to(session: zenoh.Session, key: str, states: list[pb.State]) -> None:
-    """In batches of ten, as a gateway makes them of 500 Hz."""
+    """Publish samples in batches of ten, as a gateway makes them of 500 Hz."""
     for first in range(0, len(states), 10):
         batch = pb.StateBatch(states=states[first : first + 10])
         session.put(key, batch.SerializeToString(), congestion_control=zenoh.CongestionControl.BLOCK)

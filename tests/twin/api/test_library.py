@@ -65,7 +65,7 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str | Path) -> object:
 
 
 def plain(data: object) -> object:
-    """As JSON has it: tuples are lists."""
+    """Return the value as JSON has it: tuples are lists."""
     return json.loads(json.dumps(data))
 
 

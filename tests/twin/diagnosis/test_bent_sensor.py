@@ -42,7 +42,7 @@ def test_a_reading_is_undone_and_the_stops_are_right(bow_m: float, skew: float, 
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
-    """Of the second plant, whose sensor is no polynomial: half a sine."""
+    """Provide a campaign of the second plant, whose sensor is no polynomial: half a sine."""
     folder = tmp_path_factory.mktemp("bent")
     make_campaign(folder, effects={CAUSE.name: BOW_M}, seed=4, plant="independent")
     return load(folder / "campaign.toml")

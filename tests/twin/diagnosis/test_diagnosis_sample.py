@@ -50,7 +50,7 @@ def sample() -> list[tuple[Part, int]]:
 
 
 def passes(verdicts: list[bool]) -> bool | None:
-    """Whether the sample passes with these answers, right or wrong; None while they do not decide."""
+    """Return whether the sample passes with these answers, right or wrong; None while they do not decide."""
     wrong = 0
     for count, right in enumerate(verdicts, 1):
         wrong += not right

@@ -14,7 +14,7 @@ TRAVEL_M = 5.7e-3
 
 
 def flown(x_max_m: float) -> tuple[np.ndarray[tuple[int], np.dtype[np.bool_]], Record]:
-    """Which samples of a flight up to 4.5 % below the top count as flight."""
+    """Return which samples of a flight up to 4.5 % below the top count as flight, and its record."""
     t = 2e-3 * np.arange(2000.0)
     i_c = np.random.default_rng(1).normal(0.6, 2e-3, 2000)
     x = np.asarray(TRAVEL_M * (0.515 + 0.44 * np.sin(2.0 * np.pi * 0.7 * t)), dtype=np.float64)

@@ -37,7 +37,7 @@ def watched(command: list[str], tmp_path: Path) -> tuple[subprocess.CompletedPro
 
 
 def leaks(touched: list[tuple[str, str, str]], allowed: tuple[Path, ...]) -> set[str]:
-    """What was touched besides: files, listed folders, other programs, connections."""
+    """Return everything else that was touched: files, listed folders, other programs, connections."""
     allowed_paths = tuple(str(path.resolve()) for path in (*PRODUCT_PATHS, *SYSTEM, *allowed))
     leaked = set()
     for event, _, what in touched:

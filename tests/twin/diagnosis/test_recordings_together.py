@@ -1,4 +1,4 @@
-"""What recordings of one campaign say of each other: another force constant, a beginning, an order, lost samples."""
+"""The findings from several recordings of one campaign: another force constant, a beginning, an order, lost samples."""
 
 from __future__ import annotations
 

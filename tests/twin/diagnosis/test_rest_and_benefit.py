@@ -1,4 +1,4 @@
-"""What is called sensor noise, what a cause is worth for the prediction of x, where a confounder begins."""
+"""Tests of the sensor noise, of the worth of a cause for the prediction of x, and of the start of a confounder."""
 
 from __future__ import annotations
 

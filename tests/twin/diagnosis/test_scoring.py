@@ -1,4 +1,4 @@
-"""What counts as right, and what the rates say; and a run that was stopped goes on."""
+"""Tests of which answers count as right, and of the rates.  A run that was stopped goes on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an answer to "name the cause" must look like, and what it scores; worked by hand."""
+"""Tests of the form of an answer to "name the cause", and of its score; worked by hand."""
 
 from __future__ import annotations
 

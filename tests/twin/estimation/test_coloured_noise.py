@@ -25,7 +25,7 @@ def forgetful(rng: np.random.Generator, t: NDArray[np.float64], tau_s: float) ->
 
 
 def innovations_of(theta: Theta, tau_s: float) -> NDArray[np.float64]:
-    """Of a flight whose readings have this noise, shape (n, 2)."""
+    """Return the innovations of a flight whose readings have this noise, shape (n, 2)."""
     rng = np.random.default_rng(5)
     records = [
         replace(
@@ -43,7 +43,7 @@ def innovations_of(theta: Theta, tau_s: float) -> NDArray[np.float64]:
 
 
 def correlation(white: NDArray[np.float64]) -> NDArray[np.float64]:
-    """From reading to reading, shape (2,)."""
+    """Return the correlation from reading to reading, shape (2,)."""
     return np.asarray(np.nansum(white[1:] * white[:-1], axis=0) / np.nansum(white**2, axis=0))
 
 

@@ -25,7 +25,7 @@ EQUATION = ("motional-emf", "slew-rate-limit", "force-exponent", "freewheel-diod
 
 @pytest.fixture(scope="module")
 def law(tmp_path_factory: pytest.TempPathFactory) -> controller.Controller:
-    """Of a file: not every model of this page has gains."""
+    """Provide a control law from a file: not every model of this page has gains."""
     path = tmp_path_factory.mktemp("law") / "controller.json"
     board51.main(["design", "ce152", "--out", str(path)])
     return controller.of_file(path, u_max_v=5.0)

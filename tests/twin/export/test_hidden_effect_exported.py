@@ -1,4 +1,4 @@
-"""From a hidden effect to an FMU that predicts as well as the product does."""
+"""A hidden effect becomes an FMU that predicts as well as the product does."""
 
 from __future__ import annotations
 

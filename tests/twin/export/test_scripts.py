@@ -122,7 +122,7 @@ octave = pytest.mark.skipif(shutil.which("octave") is None, reason="no octave is
 
 
 def run_octave(folder: Path, script: str) -> FloatArray:
-    """What a script prints, as numbers."""
+    """Return the output of a script as numbers."""
     process = subprocess.run(
         ["octave", "--no-gui", "--no-init-file", "--quiet", "--eval", f"format long; {script}"],
         cwd=folder,

@@ -1,4 +1,4 @@
-"""On linear loops of known truth: the estimate has no bias, its bands hold, the test alarms as often as it says."""
+"""Tests on linear loops of known truth: an estimate has no bias, its bands hold, tests alarm as often as stated."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def compared(s: Spectra, q: Spectra, model: Loop, name: Name, slopes: ComplexArr
 
 
 def as_stated(hits: int, of: int, level: float) -> bool:
-    """Whether the count agrees with the level, as 999 of 1000 such counts do."""
+    """Return whether the count agrees with the level, as 999 of 1000 such counts do."""
     return bool(binom.ppf(5e-4, of, level) <= hits <= binom.ppf(1.0 - 5e-4, of, level))
 
 

@@ -1,4 +1,4 @@
-"""What is not what it says: recognised, named with its remedy, never fitted into a wrong number."""
+"""Wrongly stated data are recognised, named with their remedy, and never fitted into a wrong number."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ IDLE, OPEN, CLOSED = pb.MODE_IDLE, pb.MODE_OPEN_LOOP, pb.MODE_CLOSED_LOOP
 
 
 class Board:
-    """Its samples, spell by spell."""
+    """The samples of a board, spell by spell."""
 
     def __init__(self) -> None:
         self.states: list[pb.State] = []

@@ -1,4 +1,4 @@
-"""Where the minutes come from: the gateway's log and the parts before it, or the bus; what is said where neither."""
+"""The minutes come from the gateway's log and its earlier parts, or from the bus; an error says if neither has any."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""In step, or saying so: gaps, resets, gain and mode changes, damaged samples, one by one."""
+"""The mirror is in step or says that it is not: gaps, resets, gain and mode changes, damaged samples, one by one."""
 
 from __future__ import annotations
 

@@ -69,7 +69,10 @@ class Flight:
 
 
 def watched(model: Model, states: list[pb.State]) -> list[Output]:
-    """What an observer of `model` says.  Without the board's parameters there is no free twin, which is not tested."""
+    """Return the outputs of an observer of `model`.
+
+    Without the board's parameters there is no free twin, which is not tested.
+    """
     mirror = Mirror(model)
     return [output for state in states if (output := mirror.handle(state)) is not None]
 

@@ -1,4 +1,4 @@
-"""Where the ball can rest, with whatever causes there are."""
+"""Tests of where the ball can rest, with whatever causes there are."""
 
 from __future__ import annotations
 

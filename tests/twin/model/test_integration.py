@@ -1,4 +1,4 @@
-"""One substep for a whole interval, where the current follows slowly, against many short ones."""
+"""A single substep for a whole interval, in which the current follows slowly, agrees with many short ones."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def right(records: list[Record]) -> Validation:
 
 @pytest.fixture(scope="module")
 def heavy_handed(records: list[Record]) -> Validation:
-    """By a model with three times the force."""
+    """Provide the validation by a model with three times the force."""
     return validate_records(records, model_of(BALL, K_c=3.0))
 
 

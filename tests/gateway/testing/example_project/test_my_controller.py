@@ -14,7 +14,7 @@ from protocol.wire.messages import Message
 
 
 class MyController:
-    """What this project is about: lifts the ball through a serial port of its own."""
+    """The subject of this project: a controller that lifts the ball through a serial port of its own."""
 
     def __init__(self, port: serial.Serial) -> None:
         self.port, self.decoder, self.states, self.answers = port, StreamDecoder(), list[State](), list[Message]()

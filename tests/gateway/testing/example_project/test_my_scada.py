@@ -13,7 +13,7 @@ from gateway.testing import EmulatorFactory, GatewayFactory
 
 
 class MyDisplay:
-    """What this project is about: shows the height of the ball, read over OPC UA."""
+    """The subject of this project: a display that shows the height of the ball, read over OPC UA."""
 
     def __init__(self, url: str) -> None:
         self.url = url

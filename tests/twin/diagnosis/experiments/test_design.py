@@ -44,7 +44,7 @@ def as_trial(cause: str, fit: Fit, at: Fit) -> Trial:
 
 
 def z_of(correct: Fit, confounder: Fit) -> float:
-    """By how much the data prefer the one that made them."""
+    """Return by how much the data prefer the model that made them."""
     lead = correct.loglik - confounder.loglik
     return math.copysign(math.sqrt(2.0 * abs(lead)), lead)
 
@@ -293,7 +293,7 @@ class Bench:
         )
 
     def _go_to(self, x_m: float) -> None:
-        """As far at once as the board allows, again and again."""
+        """Move the reference to `x_m` in steps as large as the board allows."""
         while abs(x_m - self.x_ref_m) > 1e-9:
             self.x_ref_m += min(max(x_m - self.x_ref_m, -0.6e-3), 0.6e-3)
             self.lab.request("SET_REFERENCE", x_ref=POSITION.to_count(self.x_ref_m))

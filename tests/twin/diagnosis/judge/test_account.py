@@ -1,4 +1,4 @@
-"""One account behind shares, rest, verdict, confidence and sentence; and the check that finds them at odds."""
+"""Shares, rest, verdict, confidence and sentence rest on one account, and a check finds them at odds."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def test_a_cause_takes_no_more_than_all_of_them_gain() -> None:
 
 @cache
 def gap_diagnosis() -> Diagnosis:
-    """As the search would leave it: confidence by the verdict, the sentence by the numbers."""
+    """Return a diagnosis as the search would leave it: its confidence fits the verdict, its sentence the numbers."""
     result = diagnosis("air-gap-offset", 5e-4)
     return replace(result, sentence=summary_sentence(result))
 

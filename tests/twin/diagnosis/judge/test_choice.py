@@ -1,4 +1,4 @@
-"""Which model is written: never one that predicts the judge recordings worse than the reference."""
+"""Tests of the choice of the written model: it never predicts the judge recordings worse than the reference."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def searched() -> Selection:
 
 
 def chosen(gains: Mapping[int, list[Gain]], *, sure: bool = False) -> Choice:
-    """What is chosen if the model with so many values of causes has these gains."""
+    """Return the choice that is made if the model with each number of causes has these gains."""
 
     def measure(theta: Theta) -> list[Gain]:
         return gains[len({name.partition(".")[0] for name, _ in theta.causes})]

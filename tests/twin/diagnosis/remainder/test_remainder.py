@@ -1,4 +1,4 @@
-"""What no cause explains, as a curve: found where it is one, and as large as it is; none where there is nothing.
+"""A force that no cause explains is found as a curve of the right size; none is found where nothing is hidden.
 
 The recordings are those of the independent plant, whose wire spring no catalogue has.
 """

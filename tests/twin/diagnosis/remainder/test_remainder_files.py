@@ -1,4 +1,4 @@
-"""What is left, from the command to the model file that the other commands take: a spring that no catalogue has."""
+"""The remainder goes from the command to the model file that other commands take: a spring that no catalogue has."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a diagnosis says of the causes that it does not name: ruled out but for a size, or seen and too small."""
+"""A diagnosis reports on the causes that it does not name: ruled out but for a size, or seen and too small."""
 
 from __future__ import annotations
 

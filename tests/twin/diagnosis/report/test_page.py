@@ -59,7 +59,7 @@ def quick_gap_page() -> str:
 
 
 def quick_page(result: Diagnosis) -> str:
-    """With few of the figures."""
+    """Return the page with few of the figures."""
     return page(replace(result, quick=True))
 
 
@@ -74,7 +74,7 @@ def summary_words(result: Diagnosis, summary: Summary) -> str:
 
 
 def text_of(html: str) -> str:
-    """In words, however the lines are broken."""
+    """Return the words of a page, however its lines are broken."""
     return " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"(?s)<style>.*?</style>|src=\"[^\"]*\"", "", html)).split())
 
 

@@ -34,7 +34,7 @@ def with_drag() -> Summary:
 
 
 def curve(show: Summary, name: str) -> dict[float, tuple[float, float]]:
-    """Of baseline and extended by place, N."""
+    """Return the forces of baseline and extended model by place, N."""
     profile = next(entry for entry in show.force if entry.name == name)
     return {point.at: (point.baseline.value, point.extended.value) for point in profile.points}
 

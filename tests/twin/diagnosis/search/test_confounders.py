@@ -36,7 +36,7 @@ GAP, DRAG, FORCE, FRICTION, MAGNETISM = (
 
 
 def selection(base: Fit, fit: Fit, *causes: str) -> Selection:
-    """As if these had been taken, the last one by the only round that is known."""
+    """Return a selection as if these causes had been taken, the last one by the only round that is known."""
     first = Round(scores=(), trials=(), selected=causes[0])
     return Selection(base=base, fit=fit, causes=causes, gains=dict.fromkeys(causes, 100.0), rounds=(first,))
 

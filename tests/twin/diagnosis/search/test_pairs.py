@@ -1,4 +1,4 @@
-"""When two causes are tried together after a refused step: only while more is missing than is explained."""
+"""Two causes are tried together after a refused step only while more is missing than is explained."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What would not be taken now is not kept: a cause that the later ones have left next to nothing."""
+"""A cause is not kept if it would not be taken now: the later ones have left it next to nothing."""
 
 from __future__ import annotations
 

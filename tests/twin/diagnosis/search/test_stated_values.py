@@ -29,7 +29,7 @@ GRAVITY, CLOCK, SCALE = "stated-gravity", "stated-clock", "stated-x-scale"
 
 @pytest.fixture(scope="module")
 def flown() -> list[Record]:
-    """Of a rig without any cause: steps of the amplifier, a flight, throws from stop to stop."""
+    """Provide recordings of a rig without any cause: steps of the amplifier, a flight, throws from stop to stop."""
     return [*narrow(THETA), *made(ITEMS["prbs-open-loop"], THETA)]
 
 

@@ -33,7 +33,7 @@ def twin_of(endpoint: str, board: str | None = None, site: str = "lab") -> TwinS
 
 
 def ended(session: zenoh.Session, service: TwinService) -> str:
-    """What the service says, when the next message of the board has reached it."""
+    """Return the failure of the service, once the next message of the board has reached it."""
     parameters = Rig(seed=2).parameters().SerializeToString()
 
     def failed() -> bool:

@@ -1,4 +1,4 @@
-"""What a twin repeats bears the time of each repetition, by the gateway's clock."""
+"""Each message that a twin repeats bears the time of its repetition, by the gateway's clock."""
 
 from __future__ import annotations
 

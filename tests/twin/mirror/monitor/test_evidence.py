@@ -57,7 +57,7 @@ class Run:
 
 
 def alarmed() -> tuple[Rig, Run]:
-    """In step with a rig that the model does not describe."""
+    """Return a rig that the model does not describe, and a run in step with it."""
     rig, run = offset_rig(), Run()
     run.mirror.parameters(rig.parameters())
     run.feed(rig.run(1500, HELD))
