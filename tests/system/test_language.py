@@ -24,7 +24,7 @@ NOT_NAMES = frozenset(
 )
 EXEMPT_NAMES = frozenset(["kw_only", "zero_copy_only", "encipher_only", "decipher_only"])  # of libraries
 # Per cent.  By the same list and count: python-control 0.2, diffrax 0.2, ophyd-async 0.3, h11 1.0.
-MAX_SHARE = {"protocol": 0.3, "gateway": 0.3, "twin": 0.3, "tests": 0.3}
+MAX_SHARE = {"protocol": 0.2, "gateway": 0.2, "twin": 0.3, "tests": 0.1}
 
 # A docstring begins with a verb, or with an article and a noun.
 NOT_BEGINNINGS = re.compile(
