@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from twin.model import integration
-from twin.model.causes import position_sensor_lag
+from twin.model.causes import position_dependent_inductance, position_sensor_lag
 from twin.model.causes.catalogue import CATALOGUE, neutral
 from twin.model.causes.cause import NO_PLACE, Cause, Vector
 from twin.model.extended import CORE, FIELD, I_C, I_SENSOR, RATE, SECOND, SENSOR, STATES, Base, V, X
@@ -19,7 +19,7 @@ from twin.model.integration import SLOW_SHARE, advance
 T_S, PIECES = 2e-3, 64
 TWIN = Path(integration.__file__).parents[1]
 POSITION_M = 6e-8
-CURRENT_A = 1e-3  # the parts of an interval leave this much of a T_A that grows near the coil
+CURRENT_A = 5e-5
 
 
 @pytest.mark.parametrize(
@@ -41,6 +41,15 @@ def test_a_slow_sensor_shows_what_an_accelerated_ball_does(tau_s: float, second:
     c[position_sensor_lag.TAU], c[position_sensor_lag.SECOND] = tau_s, second
 
     assert_exact(c, T_A=3e-4)
+
+
+@pytest.mark.parametrize("T_A", [3e-4, 1.3e-3])
+def test_the_current_of_a_moving_ball_follows_its_inductance(T_A: float) -> None:
+    """With the T_A of the beginning of each substep it would be wrong by some mA."""
+    c = neutral()
+    c[position_dependent_inductance.GROWTH] = 0.6
+
+    assert_exact(c, T_A=T_A)
 
 
 def test_no_constant_of_python_says_whether_there_are_stops() -> None:
