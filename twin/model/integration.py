@@ -129,7 +129,7 @@ def _substeps(
         if shaped:
             gap = max(gap, GAP_MIN_SHARE * p.travel_m)
             pressed = stops and v == 0.0 and (a1 < 0.0 if x <= 0.0 else x >= p.travel_m)
-            # That of the middle of each half: with that of its begin, i of a fast ball is 7 mA off after 2 ms.
+            # T_A at the middle of each half.  Taken at its beginning, it left i of a fast ball 7 mA off after 2 ms.
             T_A = position_dependent_inductance.time_constant(c, p.T_A, gap - 0.25 * h * v, plane, gap_mid)
             if shared:  # i_2 is that of the middle: it changes little within a substep
                 end, middle = target, second_time_constant.settled(c, second, target, 0.5 * h)

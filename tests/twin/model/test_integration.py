@@ -45,7 +45,7 @@ def test_a_slow_sensor_shows_what_an_accelerated_ball_does(tau_s: float, second:
 
 @pytest.mark.parametrize("T_A", [3e-4, 1.3e-3])
 def test_the_current_of_a_moving_ball_follows_its_inductance(T_A: float) -> None:
-    """With the T_A of the beginning of each substep it would be wrong by some mA."""
+    """T_A changes within a substep: with that of its beginning, i would be wrong by some mA."""
     c = neutral()
     c[position_dependent_inductance.GROWTH] = 0.6
 
