@@ -19,7 +19,7 @@ from twin.model.integration import SLOW_SHARE, advance
 T_S, PIECES = 2e-3, 64
 TWIN = Path(integration.__file__).parents[1]
 POSITION_M = 6e-8
-CURRENT_A = 5e-5
+CURRENT_A = 5e-5  # a fifth of a count of i_c in a recording (0.24 mA)
 
 
 @pytest.mark.parametrize(
