@@ -264,12 +264,14 @@ class Criterion:
         if at is None:
             at, reuse = self.run_without_steps(theta), []
         else:
+            present = {name.partition(".")[0] for name, value in theta.causes if value}
             # With dry friction the slopes are taken over the uncertainty of the state, which depends on the noise.
-            smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
-            # Noise levels and stops do not change the motion between two readings, so its steps are reused.
-            steady = NOISES + COLOURS + STOPS
-            is_reused = [rough or name in STOPS or (smooth and name in steady) for name in names]
-            reuse = [Reuse.STEPS if name in steady else Reuse.SLOPES for name in names]
+            smooth = () if present & with_trait("sticks") else NOISES + COLOURS
+            # A stop is where a ball at rest is, and an inductance depends on that.
+            steady = () if present & with_trait("of-the-gap") else STOPS
+            # Otherwise noise levels and stops do not change the motion between two readings: its steps are reused.
+            is_reused = [rough or name in smooth + steady for name in names]
+            reuse = [Reuse.STEPS if name in NOISES + COLOURS + steady else Reuse.SLOPES for name in names]
             reuse = [mode if is_allowed else Reuse.NONE for mode, is_allowed in zip(reuse, is_reused, strict=True)]
         return at.innovations, self.changes(models, steps, at, reuse)
 

@@ -23,7 +23,7 @@ from twin.estimation.structures import NoiseLevels, Samples, Stops, System
 from twin.model.causes import stated
 from twin.model.causes.catalogue import BY_NAME, neutral
 from twin.model.causes.cause import NO_PLACE, CauseParameter
-from twin.model.extended import Base
+from twin.model.extended import Base, position_of_reading, position_reading
 
 PARAMETERS = ("K_A", "T_A", "K_c", "b")
 STOPS = ("stop_low_m", "stop_high_m")
@@ -87,9 +87,10 @@ class Theta:
             theta = theta.having(name, value)
         return theta
 
-    def without(self, cause: str) -> Theta:
-        """A copy without one cause."""
-        return replace(self, causes=tuple(pair for pair in self.causes if not pair[0].startswith(cause + ".")))
+    def without(self, cause: str, plant: Plant) -> Theta:
+        """A copy without one cause, with the same readings at rest."""
+        left = replace(self, causes=tuple(pair for pair in self.causes if not pair[0].startswith(cause + ".")))
+        return with_equal_rests(left, self, cause, plant)
 
     def vector(self) -> NDArray[np.float64]:
         """The vector c of the causes' parameters for the kernels."""
@@ -184,7 +185,10 @@ def moved(theta: Theta, name: str, step: float, plant: Plant) -> Theta:
     if "." in name:
         parameter = parameter_of(name)
         coordinate = parameter.coordinate(value) + step * unit_of(parameter)
-        return theta.having(name, parameter.value(coordinate))
+        after = theta.having(name, parameter.value(coordinate))
+        # The readings at rest are known far better than where the stops are: with fixed stops, the likelihood would be
+        # a narrow curved ridge.
+        return with_equal_rests(after, theta, name.partition(".")[0], plant)
     if name == "b":
         # b moves linearly, as a logarithm could not reach 0. Beyond the unstable pole it would imitate another effect.
         return replace(theta, b=min(max(value + step * plant.mass_kg, theta.min_b), max_drag(plant)))
@@ -194,6 +198,18 @@ def moved(theta: Theta, name: str, step: float, plant: Plant) -> Theta:
         low, high = TAU_S if name.startswith("tau") else WHITE
         return theta.having(name, min(max(value * math.exp(step), low), high))
     return theta.having(name, max(value * math.exp(step), _floor(theta, name)))
+
+
+def with_equal_rests(theta: Theta, before: Theta, cause: str, plant: Plant) -> Theta:
+    """Return a copy whose sensor reads at the stops what `before` reads there, if it differs by a cause of a sensor."""
+    if BY_NAME[cause].family != "sensing":
+        return theta
+    p, c, c_before = before.base(plant), theta.vector(), before.vector()
+    low, high = (
+        float(position_of_reading(p, c, position_reading(p, c_before, stop, 0.0), 0.0))
+        for stop in (before.stop_low_m, plant.travel_m + before.stop_high_m)
+    )
+    return replace(theta, stop_low_m=low, stop_high_m=high - plant.travel_m)
 
 
 def _floor(theta: Theta, name: str) -> float:

@@ -8,10 +8,16 @@ import pytest
 from twin.compiled import Packed
 from twin.estimation.ekf import filter as ekf
 from twin.estimation.ekf.memory import memory_for
-from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, USE_I, USE_X
+from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, RESTS_HIGH, USE_I, USE_X
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import AT_THE_ENDS, NO_STEPS, NoiseLevels, Results, Samples, System, room_for
-from twin.model.causes import actuation_delay, current_sensor_lag, eddy_current_lag
+from twin.model.causes import (
+    actuation_delay,
+    current_sensor_lag,
+    eddy_current_lag,
+    position_dependent_inductance,
+    position_sensor_gain,
+)
 from twin.model.causes.catalogue import neutral
 from twin.model.extended import I_C, V, X
 
@@ -93,6 +99,25 @@ def test_a_capture_shows_its_share_of_a_delay_and_the_loop_all_of_it() -> None:
     np.testing.assert_array_equal(delayed[:half], innovations(samples, delay_s=1e-4)[:half])
     np.testing.assert_array_equal(delayed[half:], innovations(samples, delay_s=4e-4)[half:])
     assert not np.allclose(delayed[:half], innovations(samples, delay_s=4e-4)[:half], equal_nan=True)
+
+
+def test_the_current_of_a_ball_at_a_stop_does_not_depend_on_what_the_sensor_reads_there() -> None:
+    """The inductance is that of the stop, where the ball is."""
+    n, travel_m = 40, BASE[-1]
+    flags = np.full(n, FOLLOWS | USE_I | USE_X | RESTS_HIGH, np.uint16)
+    flags[0] &= ~FOLLOWS & 0xFFFF
+    u = np.where(np.arange(n) < 20, 1.0, 2.0)
+
+    def rests(gain: float, reading_m: float) -> FloatArray:
+        c = neutral()
+        c[position_dependent_inductance.GROWTH], c[position_sensor_gain.GAIN] = 0.5, gain
+        samples = Samples(
+            np.linspace(0.0, 2e-3 * (n - 1), n), np.full(n, 2e-3), u, 0.3 * u, np.full(n, reading_m), flags
+        )
+        return ekf.filtered(System(BASE, c, NOISE, AT_THE_ENDS), samples).innovations
+
+    np.testing.assert_allclose(rests(0.9, 0.9 * travel_m), rests(1.0, travel_m), atol=1e-15)
+    assert np.nanmax(np.abs(rests(1.0, travel_m)[:, 0])) > 0.1  # the step of u_c shows
 
 
 def steps_of_u(*kinds: int) -> Samples:

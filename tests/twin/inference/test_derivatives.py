@@ -17,7 +17,7 @@ from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
 from twin.evidence.gather import gather
 from twin.inference.likelihood import Criterion, mean_square
-from twin.inference.theta import BASE, NOISES, STOP_UNIT_M, STOPS, Theta, coordinates_of, moved
+from twin.inference.theta import BASE, NOISES, STOP_UNIT_M, STOPS, Theta, coordinates_of, derivative_step, moved
 from twin.settings import diagnosis as settings
 
 CASES = [
@@ -72,7 +72,9 @@ def test_the_noise_along_a_run_has_the_derivatives_of_the_filter(theta: Theta, s
     criterion.close()
 
 
-@pytest.mark.parametrize("theta", [THETA, replace(THETA, tau_x_s=8e-3, white_x=0.1)])
+@pytest.mark.parametrize(
+    "theta", [THETA, replace(THETA, tau_x_s=8e-3, white_x=0.1), strong("position-dependent-inductance", 0.5)]
+)
 def test_the_derivative_by_a_stop_is_that_of_the_filter_whatever_the_colour_of_the_noise(theta: Theta) -> None:
     """Coloured noise takes up most of a shift that stays: a reading soon counts less than it does in white noise."""
     k = np.arange(600)
@@ -81,7 +83,8 @@ def test_the_derivative_by_a_stop_is_that_of_the_filter_whatever_the_colour_of_t
     run = criterion.run(theta)
 
     _, change = criterion.derivatives(theta, STOPS, run)
-    exact = [criterion.outputs(moved(theta, name, 1.0, PLANT)) - criterion.outputs(theta) for name in STOPS]
+    steps = {name: derivative_step(theta, name, PLANT) for name in STOPS}
+    exact = [(criterion.outputs(moved(theta, *step, PLANT)) - run.innovations) / step[1] for step in steps.items()]
     criterion.close()
 
     assert np.nanmin(exact[0][:, 1]) == pytest.approx(-STOP_UNIT_M, rel=1e-3)

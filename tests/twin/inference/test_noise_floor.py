@@ -19,7 +19,10 @@ def test_a_right_model_lacks_nothing_under_its_own_floor_alone() -> None:
     criterion = Criterion(gather([steps(rig, seed=3, seconds=40.0)], PLANT), PLANT, TICK_S, workers=1)
     try:
         loglik = criterion.value(rig)
-        right, other = measured.under(criterion, rig), measured.under(criterion, rig.without("air-gap-offset"))
+        right, other = (
+            measured.under(criterion, rig),
+            measured.under(criterion, rig.without("air-gap-offset", criterion.plant)),
+        )
     finally:
         criterion.close()
 

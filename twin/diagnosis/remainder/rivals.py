@@ -91,7 +91,7 @@ def _fit_without(criterion: Criterion, selection: Selection, names: tuple[str, .
     free = tuple(name for name in selection.fit.free if name.partition(".")[0] not in names)
     theta = selection.fit.theta
     for name in names:
-        theta = theta.without(name)
+        theta = theta.without(name, criterion.plant)
     return selection.recall(free) or climb(criterion, reinitialised(theta), free)
 
 

@@ -18,10 +18,9 @@ from twin.diagnosis.search.score_test import Score, probed, two_sided
 from twin.estimation.record import Record
 from twin.evidence.starting.regression import amplifier_start
 from twin.inference.likelihood import Criterion
-from twin.inference.theta import COLOURS, NOISES, PARAMETERS, Theta, max_step, moved
+from twin.inference.theta import COLOURS, NOISES, PARAMETERS, STOPS, Theta, max_step, moved, with_equal_rests
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
-from twin.model.extended import position_of_reading, position_reading
 from twin.settings import diagnosis as settings
 
 
@@ -62,16 +61,7 @@ def _with_stops(plant: Plant, theta: Theta, starts: list[Theta], cause: Cause) -
     if cause.family != "sensing":
         return starts
     at_home = [replace(start, stop_low_m=0.0, stop_high_m=0.0) for start in starts]
-    return [*starts, *at_home, *(_same_readings(plant, theta, start) for start in starts)]
-
-
-def _same_readings(plant: Plant, theta: Theta, start: Theta) -> Theta:
-    p, before, after = theta.base(plant), theta.vector(), start.vector()
-    low, high = (
-        float(position_of_reading(p, after, position_reading(p, before, stop, 0.0), 0.0))
-        for stop in (theta.stop_low_m, plant.travel_m + theta.stop_high_m)
-    )
-    return replace(start, stop_low_m=low, stop_high_m=high - plant.travel_m)
+    return [*at_home, *(with_equal_rests(start, theta, cause.name, plant) for start in starts)]
 
 
 def substitute_start(criterion: Criterion, theta: Theta, cause: Cause, confounder: Cause) -> Theta:
@@ -89,7 +79,7 @@ def substitute_start(criterion: Criterion, theta: Theta, cause: Cause, confounde
     if (cause.strength.unit, strength.unit) in same:
         size = theta.value(f"{cause.name}.{cause.strength.name}") * same[cause.strength.unit, strength.unit]
         sizes += [signed for signed in (size, -size) if strength.low <= signed <= strength.high]
-    bare = theta.without(cause.name)
+    bare = theta.without(cause.name, criterion.plant)
     starts = _with_stops(criterion.plant, theta, [probed(bare, confounder, size) for size in sizes], confounder)
     return starts[int(np.argmax(criterion.values(starts)))]
 
@@ -137,7 +127,9 @@ def _coordinate_sets(score: Score) -> list[list[str]]:
     The positions of coil, stop and sensor differ in their effect by bends alone, so they move together.  So does a
     cause in the model that has taken up the candidate's effect: otherwise the start is 10 000 of log-likelihood lower.
     """
-    names = [name for name, _ in score.moves if name not in NOISES + COLOURS]
+    # With a sensor's cause the stops follow by themselves, and a limit of their steps would shorten all.
+    absent = NOISES + COLOURS + (STOPS if BY_NAME[score.cause].family == "sensing" else ())
+    names = [name for name, _ in score.moves if name not in absent]
     paper = [name for name in names if name in PARAMETERS]
     together = "displaces" in BY_NAME[score.cause].traits or any("." in name for name in names)
     return [paper, names] if together else [paper]

@@ -108,7 +108,7 @@ def _replace_two(search: Search, selection: Selection, cause: str, trial: Trial)
 
     def less(other: str) -> Fit:
         free = tuple(name for name in trial.fit.free if not name.startswith(other + "."))
-        return climb(search.criterion, reinitialised(trial.fit.theta.without(other)), free)
+        return climb(search.criterion, reinitialised(trial.fit.theta.without(other, search.criterion.plant)), free)
 
     for other, fit in zip(remaining, search.criterion.each(less, remaining), strict=True):
         if fit.loglik > min_loglik:

@@ -61,7 +61,7 @@ def place_gains(criterion: Criterion, theta: Theta) -> Mapping[str, float]:
     """
     lines = [line for line in harmonics(theta.vector(), 1) if line[1] > 0.0]
     first_hz = lines[0][0] if lines else theta.value(periodic.FREQUENCY)
-    bare = replace(theta.without(FORCE).without(SENSOR), phases_s=())
+    bare = replace(theta.without(FORCE, criterion.plant).without(SENSOR, criterion.plant), phases_s=())
     white = whitened(criterion.outputs(bare))
     # The signatures are differences of whole runs of the filter: it reacts to a line, and follows a part of it.
     force = [whitened(out) - white for out in periodic.shaken(criterion, bare, first_hz)]

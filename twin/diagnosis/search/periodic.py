@@ -119,7 +119,7 @@ def score(criterion: Criterion, theta: Theta) -> Score | None:
 def fit_phases(criterion: Criterion, fit: Fit, passes: int) -> Fit:
     """Return the fit with phases that belong to its own frequency, or the old fit if they gain nothing."""
     frequency = fit.theta.value(FREQUENCY)
-    line = find_line(criterion, fit.theta.without(CAUSE.name), frequency)
+    line = find_line(criterion, fit.theta.without(CAUSE.name, criterion.plant), frequency)
     return fit if line is None else _with_phases(criterion, fit, line.phases_s, passes)
 
 

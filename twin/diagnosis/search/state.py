@@ -64,7 +64,7 @@ def superfluous(search: Search, selection: Selection, smaller: Fit) -> bool:
 def fit_without(criterion: Criterion, selection: Selection, cause: str, passes: int = settings.PASSES) -> Fit:
     """Fit the model without one of its causes, or return the fit if `selection` knows it already."""
     free = tuple(name for name in selection.fit.free if not name.startswith(cause + "."))
-    start = reinitialised(selection.fit.theta.without(cause))
+    start = reinitialised(selection.fit.theta.without(cause, criterion.plant))
     known = selection.recall(free)
     # The known fit may be a lower maximum than the one to which later causes have led.
     if known is not None and criterion.value(start) < known.loglik + settings.MIN_GAIN:

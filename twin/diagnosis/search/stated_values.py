@@ -24,7 +24,6 @@ from twin.inference.fisher_scoring import Fit, climb, narrowing
 from twin.inference.likelihood import Criterion
 from twin.inference.optimiser import inverse
 from twin.inference.theta import Theta, coordinates_of, max_step, moved, parameter_of, unit_of
-from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
 from twin.model.causes.stated import CLOCK, STATED
 from twin.readers.host_clock import combined
@@ -209,8 +208,7 @@ def _exchanged(
     for name, step in (out, into):
         for other, move in information.moves(coordinates_of(name)[0], others).items():
             follow[other] += step * move
-    theta = theta.without(out[0])
+    theta = theta.without(out[0], criterion.plant)
     for name, move in follow.items():
         theta = moved(theta, name, min(max(move, -max_step(name)), max_step(name)), criterion.plant)
-    parameter = BY_NAME[into[0]].strength
-    return theta.having(coordinates_of(into[0])[0], parameter.value(into[1] * unit_of(parameter)))
+    return moved(theta, coordinates_of(into[0])[0], into[1], criterion.plant)

@@ -103,6 +103,16 @@ def _write_step(f: Memory, written: Steps, n: int) -> None:
                 written.slopes[n, row, k] = f.F[row, k]
 
 
+@inlined
+def _held_at(f: Memory, flags: int, reading: float) -> float:
+    """Return the position of a held ball, m: at a stop that of the stop, which errors of the sensor do not change."""
+    if flags & RESTS_LOW != 0:
+        return float(f.low_m)
+    if flags & RESTS_HIGH != 0:
+        return float(f.high_m)
+    return float(min(max(reading, 0.0), f.paper[-1]))
+
+
 @kernel
 def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
     t, step, u, y_i, y_x, flags, noise_ratio = samples
@@ -153,7 +163,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             add_process_noise(f, T_s)
         elif follows:
             held = input_over(f.c[:], inputs, n, f.first, step[n])
-            predict_held(f, held, n, t[n - 1], step[n], y_x[n - 1], known)
+            predict_held(f, held, n, t[n - 1], step[n], _held_at(f, flags[n - 1], y_x[n - 1]), known)
             _write_step(f, written, n)
         if not follows:
             f.first = n

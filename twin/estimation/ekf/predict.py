@@ -217,18 +217,18 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
 
 
 @inlined
-def predict_held(f: Memory, u: HeldInput, n: int, t: float, T_s: float, reading: float, known: Steps) -> None:
-    """Predict current, warmth and loop at sample n with the ball held at its last `reading`, m.
+def predict_held(f: Memory, u: HeldInput, n: int, t: float, T_s: float, x: float, known: Steps) -> None:
+    """Predict current, warmth and loop at sample n with the ball held at x, m.
 
     The other arguments are those of `propagate`; `known` as in `filter.filtered`.
     """
     wandered(f, f.y)
-    y, held = f.y[:], min(max(reading, 0.0), f.paper[-1])
-    y[X], y[V] = held, 0.0
+    y = f.y[:]
+    y[X], y[V] = x, 0.0
     copy(f.previous, y)
     if known.after.shape[0] > 0:
         step_linearised(f, known, n, T_s)
-        y[X], y[V] = held, 0.0
+        y[X], y[V] = x, 0.0
     else:
         _advance_held(f, y, u, t, T_s)
         fade(f, y, T_s)

@@ -120,7 +120,7 @@ def test_a_confounder_has_the_phases_that_belong_to_it(monkeypatch: pytest.Monke
     rig = strong(field, 3e-3, strong(CAUSE.name, 4e-3, QUIET).having(FREQUENCY, FREQUENCY_HZ))
     criterion = Criterion(gather([steps(rig, seed=seed) for seed in (3, 4)], PLANT), PLANT, TICK_S, workers=1)
     free = (*BASE, AMPLITUDE, FREQUENCY, *coordinates_of(sensor))
-    start = strong(sensor, 3e-3, rig.without(field))
+    start = strong(sensor, 3e-3, rig.without(field, PLANT))
     answers = {}
     try:
         base = climb(criterion, QUIET, BASE)

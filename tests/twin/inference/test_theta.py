@@ -1,0 +1,40 @@
+"""The coordinates of the parameters: what moves together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.harness.diagnose.simulated_rig import PLANT, THETA, strong
+from twin.inference.theta import Theta, moved
+from twin.model.extended import position_reading
+
+SENSING = {
+    "position-sensor-gain": 0.95,
+    "position-sensor-offset": 2e-4,
+    "position-sensor-nonlinearity": 1e-4,
+}
+
+
+def rests(theta: Theta) -> list[float]:
+    """The readings at both stops, m."""
+    stops = theta.stop_low_m, PLANT.travel_m + theta.stop_high_m
+    return [float(position_reading(theta.base(PLANT), theta.vector(), stop, 0.0)) for stop in stops]
+
+
+@pytest.mark.parametrize(("cause", "value"), SENSING.items())
+def test_with_an_error_of_the_sensor_the_stops_move_so_that_the_readings_at_rest_stay(cause: str, value: float) -> None:
+    theta = strong(cause, value, replace(THETA, stop_low_m=1e-5, stop_high_m=-3e-5))
+    strength = next(name for name, _ in theta.causes if name.startswith(cause))
+
+    for other in (moved(theta, strength, 3.0, PLANT), theta.without(cause, PLANT)):
+        assert rests(other) == pytest.approx(rests(theta), abs=1e-12)
+        assert other.stop_high_m != theta.stop_high_m
+
+
+def test_a_cause_elsewhere_moves_no_stop() -> None:
+    theta = strong("air-gap-offset", 1e-4, replace(THETA, stop_low_m=1e-5, stop_high_m=-3e-5))
+
+    for other in (moved(theta, "air-gap-offset.d_m", 3.0, PLANT), theta.without("air-gap-offset", PLANT)):
+        assert (other.stop_low_m, other.stop_high_m) == (theta.stop_low_m, theta.stop_high_m)
