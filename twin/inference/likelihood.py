@@ -264,15 +264,7 @@ class Criterion:
         if at is None:
             at, reuse = self.run_without_steps(theta), []
         else:
-            present = {name.partition(".")[0] for name, value in theta.causes if value}
-            # With dry friction the slopes are taken over the uncertainty of the state, which depends on the noise.
-            smooth = () if present & with_trait("sticks") else NOISES + COLOURS
-            # A stop is where a ball at rest is, and an inductance depends on that.
-            steady = () if present & with_trait("of-the-gap") else STOPS
-            # Otherwise noise levels and stops do not change the motion between two readings: its steps are reused.
-            is_reused = [rough or name in smooth + steady for name in names]
-            reuse = [Reuse.STEPS if name in NOISES + COLOURS + steady else Reuse.SLOPES for name in names]
-            reuse = [mode if is_allowed else Reuse.NONE for mode, is_allowed in zip(reuse, is_reused, strict=True)]
+            reuse = _reusable(theta, names, rough)
         return at.innovations, self.changes(models, steps, at, reuse)
 
     def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
@@ -291,6 +283,18 @@ class Criterion:
         models = [moved(theta, name, step, self.plant) for name, step in zip(names, steps, strict=True)]
         score, curvature = self.outside.slopes(theta, models, steps)
         return total, each.sum(axis=0) + score, fisher + curvature
+
+
+def _reusable(theta: Theta, names: Sequence[str], rough: bool) -> list[Reuse]:
+    """Return what the derivatives by these coordinates may reuse of a run; arguments as `Criterion.derivatives`."""
+    present = {name.partition(".")[0] for name, value in theta.causes if value}
+    # With dry friction the slopes are taken over the uncertainty of the state, which depends on the noise.
+    smooth = () if present & with_trait("sticks") else NOISES + COLOURS
+    # A stop is where a ball at rest is, and an inductance depends on that.
+    steady = () if present & with_trait("of-the-gap") else STOPS
+    # Otherwise noise levels and stops do not change the motion between two readings: its steps are reused.
+    reuse = [Reuse.STEPS if name in NOISES + COLOURS + steady else Reuse.SLOPES for name in names]
+    return [mode if rough or name in smooth + steady else Reuse.NONE for name, mode in zip(names, reuse, strict=True)]
 
 
 def mean_square(out: FloatArray) -> float:

@@ -101,12 +101,13 @@ def forward(search: Search, base: Fit, current: Fit) -> Round:
 def _with_next(search: Search, floor: Floor, trials: list[Trial]) -> list[Trial]:
     """Put first the trial that explains most together with the best next cause, of those that gain nearly as much."""
     criterion = search.criterion
-    leaders = {trial.fit.loglik: trial for trial in reversed(trials) if within_range(trial)}  # one of equal fits
-    best = max(leaders, default=0.0)
-    gain = leaders[best].gain if leaders else 0.0
-    near = [trial for trial in leaders.values() if trial.gain > settings.LEADERS_SHARE * gain]
+    possible = {trial.fit.loglik: trial for trial in reversed(trials) if within_range(trial)}.values()  # one per fit
+    best = max(possible, key=lambda trial: trial.gain, default=None)
     # Beside a large rest, the gains of two candidates are those of wrong models, and a few percent decide nothing.
-    if len(near) < 2 or not floor.material(best):
+    if best is None or not floor.material(best.fit.loglik):
+        return trials
+    leaders = [trial for trial in possible if trial.gain > settings.LEADERS_SHARE * best.gain]
+    if len(leaders) < 2:
         return trials
 
     def with_next(trial: Trial) -> float:
@@ -115,7 +116,7 @@ def _with_next(search: Search, floor: Floor, trials: list[Trial]) -> list[Trial]
         # A score is the gain of a parabola: no cause explains more than what is missing.
         return trial.gain + min(following, floor.excess(trial.fit.loglik))
 
-    first = max(near, key=with_next)
+    first = max(leaders, key=with_next)
     return [first, *(trial for trial in trials if trial is not first)]
 
 
