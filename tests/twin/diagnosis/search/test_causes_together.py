@@ -90,6 +90,26 @@ def test_one_cause_takes_the_place_of_two_that_are_confounded_with_it(tmp_path: 
     assert exchanged.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
 
 
+@pytest.mark.parametrize(("lead", "first"), [(1.1, "actuation-delay"), (1.3, "current-sensor-offset")])
+def test_the_next_cause_decides_between_candidates_that_gain_nearly_as_much(lead: float, first: str) -> None:
+    """Only the offset is left to be asked: beside the delay it explains more, beside itself nothing does."""
+    delay, offset = "actuation-delay", "current-sensor-offset"
+    criterion = criterion_of(narrow(strong(delay, 1e-3, strong(offset, 0.02)), seconds=3.0))
+    try:
+        base = fitted(criterion, THETA)
+        task = trusting(criterion, base, BY_NAME[offset])
+        trials = [
+            Trial(cause=cause, fit=fitted(criterion, strong(cause, value, base.theta), cause), gain=gain)
+            for cause, value, gain in ((offset, 0.02, lead * 1000.0), (delay, 1e-3, 1000.0))
+        ]
+        order = forward._with_next(task, task.floor, trials)
+    finally:
+        criterion.close()
+
+    assert order[0].cause == first
+    assert sorted(trial.cause for trial in order) == [delay, offset]
+
+
 @pytest.mark.slow
 def test_a_cause_that_only_led_another_to_a_higher_maximum_is_removed() -> None:
     rig = strong("coulomb-friction", 4e-3)
