@@ -186,6 +186,8 @@ def moved(theta: Theta, name: str, step: float, plant: Plant) -> Theta:
         parameter = parameter_of(name)
         coordinate = parameter.coordinate(value) + step * unit_of(parameter)
         after = theta.having(name, parameter.value(coordinate))
+        if after.value(name) == value:  # at a bound, where rounding of the stops would look like a move
+            return after
         # The readings at rest are known far better than where the stops are: with fixed stops, the likelihood would be
         # a narrow curved ridge.
         return with_equal_rests(after, theta, name.partition(".")[0], plant)

@@ -8,6 +8,7 @@ import pytest
 
 from tests.harness.diagnose.simulated_rig import PLANT, THETA, strong
 from twin.inference.theta import Theta, moved
+from twin.model.causes.catalogue import BY_NAME
 from twin.model.extended import position_reading
 
 SENSING = {
@@ -38,3 +39,13 @@ def test_a_cause_elsewhere_moves_no_stop() -> None:
 
     for other in (moved(theta, "air-gap-offset.d_m", 3.0, PLANT), theta.without("air-gap-offset", PLANT)):
         assert (other.stop_low_m, other.stop_high_m) == (theta.stop_low_m, theta.stop_high_m)
+
+
+@pytest.mark.parametrize("cause", SENSING)
+def test_a_coordinate_at_its_bound_moves_nothing(cause: str) -> None:
+    strength = BY_NAME[cause].strength
+    theta = strong(cause, strength.high, replace(THETA, stop_low_m=1e-5, stop_high_m=-3e-5))
+
+    moves = [moved(theta, f"{cause}.{strength.name}", step, PLANT) == theta for step in (1.0, -1.0)]
+
+    assert sorted(moves) == [False, True]
