@@ -145,7 +145,7 @@ def table(rows: list[Mapping[str, Any]], full: bool) -> str:
             (sum(answer["false_names"] > 0 for answer in tested), len(tested)),
             (sum(bool(answer["named"]) for answer in nulls), len(nulls)),
             (sum(answer["verdict"] == UNKNOWN for answer in nulls), len(nulls)),
-            (sum(bool(answer["named"]) and answer["verdict"] != UNKNOWN for answer in outside), len(outside)),
+            (sum(answer["false_names"] > 0 and answer["verdict"] != UNKNOWN for answer in outside), len(outside)),
             (sum(answer["found"] for answer in several), sum(answer["truths"] for answer in several)),
             (sum(answer["false_names"] > 0 for answer in several), len(several)),
         )

@@ -110,7 +110,9 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
         result += [
             Rate(name="outside: honest", hits=sum(j.right is True for _, j in outside), count=len(outside), target=0.9),
             Rate(
-                name="outside: false name", hits=sum(o.verdict == CAUSES_FOUND for o, _ in outside), count=len(outside)
+                name="outside: false name",
+                hits=sum(o.verdict != UNKNOWN and j.false_names > 0 for o, j in outside),
+                count=len(outside),
             ),
             Rate(
                 name="outside: honest, with confounders listed",

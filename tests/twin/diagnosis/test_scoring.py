@@ -151,6 +151,8 @@ def test_rates_matrix_and_reliability_count_what_they_say() -> None:
         outcome("nulls", (), silent),
         outcome("nulls", (), ANSWER),
         outcome("outside", ("wire-spring",), named("force-exponent", verdict="unknown-cause")),
+        outcome("outside", ("wire-spring",), named("force-exponent")),
+        outcome("outside", ("magnetic-hysteresis",), named("magnetic-hysteresis")),  # learnt: the name is right
         replace(outcome("composites", ("a", "b"), named("a", "c")), minor_effects=(("b", 30.0), ("d", 11.0))),
         replace(outcome("composites", ("a", "b"), ANSWER), status="grounded", judgement=None),
     ]
@@ -169,17 +171,17 @@ def test_rates_matrix_and_reliability_count_what_they_say() -> None:
         "one cause, right: unknown-cause all the same": (0, 1),
         "one cause, right: another listed as too small to be named": (1, 1),
         "nothing hidden: false alarm": (1, 2),
-        "outside: honest": (1, 1),
-        "outside: false name": (0, 1),
-        "outside: honest, with confounders listed": (1, 1),
-        "outside: not noticed": (0, 1),
+        "outside: honest": (2, 3),
+        "outside: false name": (1, 3),
+        "outside: honest, with confounders listed": (1, 3),
+        "outside: not noticed": (0, 3),
         "several causes: listed as too small, and there": (1, 2),
         "2 causes: truths found": (1, 2),
         "2 causes: all found": (0, 1),
-        "campaigns without an answer": (1, 9),
+        "campaigns without an answer": (1, 11),
     }
     assert (right, dict(name_counts)) == (0, {"air-gap-offset": 1})
-    assert confusion(outcomes)["wire-spring"] == (1, {"unknown-cause": 1})
+    assert confusion(outcomes)["wire-spring"] == (1, {"unknown-cause": 1, "force-exponent": 1})
     assert mean == pytest.approx(0.98)
     assert (bin_rate.hits, bin_rate.count) == (1, 2)
     assert share == pytest.approx(105 / 107)
