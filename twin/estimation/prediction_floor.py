@@ -27,7 +27,8 @@ from twin.compiled import kernel
 from twin.estimation.ekf.correct import position_slopes, variance
 from twin.estimation.ekf.filter import filtered
 from twin.estimation.ekf.memory import Memory, memory_for, wandered
-from twin.estimation.ekf.predict import add_process_noise, carry, take_slopes
+from twin.estimation.ekf.predict import add_jitter, add_process_noise, carry, take_slopes
+from twin.estimation.innovations import FOLLOWS
 from twin.estimation.structures import Results, Samples, System
 
 TOLERANCE = 1.05  # error over floor of a right model, with rounding and parameters fitted to finite data
@@ -58,8 +59,10 @@ def _carry(
     variances: NDArray[np.float64],
 ) -> None:
     spread, steps, step, noise_ratio = results.spread, results.steps, samples.step, samples.noise_ratio
-    for n in range(ahead, len(predicted)):
-        if not predicted[n]:
+    for n in range(len(predicted)):
+        if samples.flags[n] & FOLLOWS == 0:
+            f.first = n
+        if n < ahead or not predicted[n]:
             continue
         # (S 7) from each estimate anew.  One covariance of a ball at rest would err by up to a factor of 2.8 under dry
         # friction.
@@ -70,6 +73,7 @@ def _carry(
             take_slopes(f, steps, k)
             carry(f.F, f.P, f.G, f.m)
             add_process_noise(f, step[k])
+            add_jitter(f, samples.u, k, step[k])
         for k in range(f.m):
             f.y[f.places[k]] = steps.before[n, k]
         wandered(f, f.y)

@@ -38,9 +38,13 @@ def delay_s(c: NDArray[np.float64]) -> float:
 
 @inlined
 def see_delays(to: NDArray[np.float64], c: NDArray[np.float64], captured: bool) -> None:
-    """Set the delays in `to`, shape (PLACES,), to those of the causes c that a capture shows, or the control loop."""
-    to[actuation_delay.DELAY] = c[actuation_delay.DELAY] * (c[actuation_delay.IN_CAPTURES] if captured else 1.0)
-    to[sampling_delay.DELAY] = c[sampling_delay.DELAY] * (c[sampling_delay.IN_CAPTURES] if captured else 1.0)
+    """Set delays and jitter in `to`, shape (PLACES,), to those of the causes c in a capture, or in the control loop."""
+    share, share_of_sensors = 1.0, 1.0
+    if captured:
+        share, share_of_sensors = c[actuation_delay.IN_CAPTURES], c[sampling_delay.IN_CAPTURES]
+    to[actuation_delay.DELAY] = share * c[actuation_delay.DELAY]
+    to[actuation_delay.JITTER] = share * c[actuation_delay.JITTER]
+    to[sampling_delay.DELAY] = share_of_sensors * c[sampling_delay.DELAY]
 
 
 class HeldInput(NamedTuple):

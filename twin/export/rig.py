@@ -40,7 +40,7 @@ class Rig:
 def simulated(model: Model) -> list[tuple[Cause, CauseParameter]]:
     """The parameters of the causes of a model that a simulation has, in the order of the model."""
     causes = [BY_NAME[cause.name] for cause in model.causes if not BY_NAME[cause.name].not_simulated]
-    return [(cause, p) for cause in causes for p in cause.parameters if not p.walks and p.name != "in_captures"]
+    return [(cause, p) for cause in causes for p in cause.parameters if not p.random and p.name != "in_captures"]
 
 
 def constants(model: Model) -> Mapping[int, float]:

@@ -100,8 +100,12 @@ class Floor:
         """
         # Each part apart, not in sum: a noisy current would hide that a law of the force explains nearly all that its
         # own part lacks.
-        excess = np.array([*self.logliks, -0.5 * points]) - logliks
+        excess = self.part_excess(logliks, points)
         return np.where(excess > [*self.tolerances, settings.MIN_GAIN], excess, np.inf)
+
+    def part_excess(self, logliks: FloatArray, points: int) -> FloatArray:
+        """The excess of each part of `part_logliks`, shape (3,); arguments as `lacking`."""
+        return np.array([*self.logliks, -0.5 * points]) - logliks
 
 
 def floor_of(criterion: Criterion, theta: Theta) -> Floor:

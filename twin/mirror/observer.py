@@ -27,7 +27,7 @@ from twin.estimation.ekf.correct import (
 )
 from twin.estimation.ekf.lines import doubt_lines, turn_covariance, turn_state
 from twin.estimation.ekf.memory import Floats, Memory, base_of, memory_for
-from twin.estimation.ekf.predict import add_process_noise, advance, carry, differences
+from twin.estimation.ekf.predict import add_jitter, add_process_noise, advance, carry, differences
 from twin.estimation.prepare import CONTACT_SHARE
 from twin.estimation.propagate import copy, input_over
 from twin.estimation.rollout import SETTLE_S
@@ -131,6 +131,7 @@ def _predict_and_correct(o: Observer, i: float, x: float) -> float:
     differences(f, held, 0.0, T_s)
     carry(f.F, f.P, f.G, f.m)
     add_process_noise(f, T_s)
+    add_jitter(f, o.inputs, n, T_s)
     cut = n - 1 - int(o.since_cut[0]) if o.since_cut[0] < n - 1 else -1
     # Only where a cut or a stop may lie within the tick: each case is one more run of the model over it.
     if cut >= 0 or not 0.0 <= f.y[X] <= Base(*base_of(f)).travel_m:

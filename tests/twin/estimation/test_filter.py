@@ -101,6 +101,23 @@ def test_a_capture_shows_its_share_of_a_delay_and_the_loop_all_of_it() -> None:
     assert not np.allclose(delayed[:half], innovations(samples, delay_s=4e-4)[:half], equal_nan=True)
 
 
+def test_a_capture_shows_its_share_of_a_jitter_and_the_loop_all_of_it() -> None:
+    """From the interval in which the step of u_c comes into force, a small jitter adds what the slope there says."""
+    samples = steps_of_u(CAPTURED, 0)
+    half, delay_s, jitter_s = len(samples.u) // 2, 6e-5, 1e-6
+
+    usual = innovations(samples, delay_s=delay_s, share=0.5)
+    drawn = innovations(samples, delay_s=delay_s, share=0.5, jitter_s=jitter_s)
+
+    added = drawn[:, 2] - usual[:, 2]
+    for begin, share, first in ((0, 0.5, 51), (half, 1.0, 52)):
+        rows = begin + np.arange(51, 60)
+        slope_a_s = BASE[0] / BASE[1] * np.exp(-((first - 50) * 40e-6 - share * delay_s) / BASE[1])
+        assert added[begin + 2 : begin + first] == pytest.approx(0.0, abs=1e-15)
+        assert added[begin + first] == pytest.approx((slope_a_s * share * jitter_s) ** 2, rel=1e-3)
+        assert np.all(added[rows[rows > begin + first]] < added[begin + first])
+
+
 def test_the_current_of_a_ball_at_a_stop_does_not_depend_on_what_the_sensor_reads_there() -> None:
     """The inductance is that of the stop, where the ball is."""
     n, travel_m = 40, BASE[-1]
@@ -130,7 +147,8 @@ def steps_of_u(*kinds: int) -> Samples:
     return Samples(np.cumsum(step), step, u, 0.3 * u, np.zeros(len(u)), flags)
 
 
-def innovations(samples: Samples, *, delay_s: float, share: float = 1.0) -> FloatArray:
+def innovations(samples: Samples, *, delay_s: float, share: float = 1.0, jitter_s: float = 0.0) -> FloatArray:
     c = neutral()
+    c[actuation_delay.JITTER] = jitter_s
     c[actuation_delay.DELAY], c[actuation_delay.IN_CAPTURES] = delay_s, share
     return ekf.filtered(PAPER._replace(c=c, closed_form=False), samples).innovations

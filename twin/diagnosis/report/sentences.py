@@ -78,14 +78,23 @@ def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
     _, interval = measured(strength.value, strength.ci95, known.strength.unit)
     form = form_of(known, parameters)
     size = f"{known.strength.symbol} = {interval}, 95 %" if interval else ""
-    walks = [
-        measured(parameters[parameter.name].value, parameters[parameter.name].ci95, parameter.unit)[0]
-        for parameter in known.shapes
-        if parameter.walks and parameter.name in parameters
+    spreads = [
+        _spread_sentence(shape, parameters[shape.name])
+        for shape in known.shapes
+        if shape.random and shape.name in parameters and _differs(shape, parameters[shape.name])
     ]
-    shape = f"wanders by {walks[0]} in a minute" if walks and form else f"nearest form: {form}" if form else ""
+    shape = "; ".join(spreads) if spreads else f"nearest form: {form}" if form else ""
     details = "; ".join(part for part in (size, shape) if part)
     return f"{text} ({details})" if details else text
+
+
+def _differs(shape: CauseParameter, parameter: Parameter) -> bool:
+    return abs(parameter.value - shape.neutral) > 2.0 * (parameter.std or 0.0)
+
+
+def _spread_sentence(shape: CauseParameter, parameter: Parameter) -> str:
+    size, _ = measured(parameter.value, parameter.ci95, shape.unit)
+    return f"wanders by {size} in a minute" if shape.walks else f"varies by {size} from tick to tick"
 
 
 def form_of(cause: Cause, parameters: Mapping[str, Parameter]) -> str:
@@ -94,10 +103,6 @@ def form_of(cause: Cause, parameters: Mapping[str, Parameter]) -> str:
     A shape within two standard errors of its neutral value counts as the usual form.
     """
     shapes = [shape for shape in cause.shapes if shape.name in parameters]
-
-    def differs(shape: CauseParameter) -> bool:
-        parameter = parameters[shape.name]
-        return abs(parameter.value - shape.neutral) > 2.0 * (parameter.std or 0.0)
 
     def distance(values: Mapping[str, float | str]) -> float:
         total = 0.0
@@ -110,7 +115,7 @@ def form_of(cause: Cause, parameters: Mapping[str, Parameter]) -> str:
         return total
 
     # A shape that the data leave open stays near its prior, so the usual form keeps its name.
-    if not any(differs(shape) for shape in shapes):
+    if not any(_differs(shape, parameters[shape.name]) for shape in shapes):
         return ""
     forms: dict[str, Mapping[str, float | str]] = {"": {}, **{form.name: form.values for form in cause.forms}}
     return min(forms, key=lambda name: distance(forms[name]))

@@ -11,12 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from twin.diagnosis.search.candidate_starts import start_of
 from twin.diagnosis.search.prediction_benefit import error_reduction
 from twin.diagnosis.search.score_test import Score
 from twin.inference.fisher_scoring import Fit, approach, climb
 from twin.inference.likelihood import Criterion
-from twin.inference.theta import coordinates_of, parameter_of
+from twin.inference.theta import coordinates_of, parameter_of, reinitialised
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.settings import diagnosis as settings
 
@@ -84,7 +86,7 @@ def fit_candidates(
     else:
         trials = _finish_first(criterion, trials, active)
     trial_of = {trial.cause: trial for trial in trials}
-    trials += [renamed(trial_of[original], copy) for copy, original in copies.items()]
+    trials += [renamed(criterion, trial_of[original], copy) for copy, original in copies.items()]
     return sorted(trials, key=lambda trial: -trial.gain)
 
 
@@ -135,18 +137,28 @@ def same_as(cause: str) -> set[str]:
     return {copy if cause == original else original for copy, original in _SAME.items() if cause in (original, copy)}
 
 
-def renamed(trial: Trial, cause: str) -> Trial:
-    """The same trial under the name of a cause with an identical effect on the samples."""
+def renamed(criterion: Criterion, trial: Trial, cause: str) -> Trial:
+    """The same trial under the name of a cause with an identical effect on the samples.
+
+    It is fitted again where it has a shape that this cause lacks, as the two are not identical then.
+    """
 
     def name(old: str) -> str:
         return old.replace(f"{trial.cause}.", f"{cause}.", 1) if old.startswith(f"{trial.cause}.") else old
 
-    theta = replace(trial.fit.theta, causes=tuple((name(old), value) for old, value in trial.fit.theta.causes))
-    return Trial(
-        cause=cause,
-        fit=replace(trial.fit, theta=theta, free=tuple(name(old) for old in trial.fit.free)),
-        gain=trial.gain,
+    fit, coordinates = trial.fit, coordinates_of(cause)
+    lacking = [old for old in coordinates_of(trial.cause) if name(old) not in coordinates]
+    indices = [k for k, old in enumerate(fit.free) if old not in lacking]
+    causes = tuple((name(old), value) for old, value in fit.theta.causes if old not in lacking)
+    same = replace(
+        fit,
+        theta=replace(fit.theta, causes=causes),
+        free=tuple(name(fit.free[k]) for k in indices),
+        covariance=fit.covariance[np.ix_(indices, indices)],
     )
+    if any(fit.theta.value(old) != parameter_of(old).neutral for old in lacking):
+        same = climb(criterion, reinitialised(same.theta), same.free)
+    return Trial(cause=cause, fit=same, gain=trial.gain + same.loglik - fit.loglik)
 
 
 def refine(criterion: Criterion, trial: Trial, passes: int = settings.PASSES, *, approximate: bool = False) -> Trial:

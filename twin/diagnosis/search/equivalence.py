@@ -46,7 +46,9 @@ def find_classes(search: Search, selection: Selection) -> Selection:
             # The trials of its own round serve: they were fitted beside all other causes, as this was the last.
             selected = Trial(cause=cause, fit=selection.fit, gain=selection.gains[cause])
             same = same_as(cause) & {entry.name for entry in search.candidates}
-            equals = [renamed(selected, other) for other in sorted(same)] + _equals_at_selection(selection, cause, same)
+            equals = [renamed(criterion, selected, other) for other in sorted(same)]
+            equals = [trial for trial in equals if selected.gain - trial.gain < settings.EQUIVALENT_GAIN]
+            equals += _equals_at_selection(selection, cause, same)
             selection = replace(
                 selection,
                 classes={**selection.classes, cause: tuple(equals)},
@@ -225,7 +227,7 @@ def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial,
             if score.cause in similar or score.gain * steepness(score.cause) > cutoff_gain
         ][: max((1 if search.quick else search.max_candidates) - len(known), 2)]
     trials = [trial for trial in known if trial.cause not in (cause.name, *same)]
-    trials += [renamed(selected, other) for other in same]
+    trials += [renamed(criterion, selected, other) for other in same]
     # Candidates far behind the class are not fitted to the end: only the lead in `runner_up` depends on them.
     trials += fit_candidates(criterion, current, scores, cutoff_gain=cutoff_gain)
     # A fit from the model without the cause may end in a worse maximum than one from the fit of the cause itself.

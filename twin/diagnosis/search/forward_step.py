@@ -173,14 +173,15 @@ def _share(criterion: Criterion, base: Fit, current: Fit, floor: Floor, best: Tr
     unless the effect is minor compared with those selected before.
     """
     none, before, after = part_logliks(criterion, base.theta, current.theta, best.fit.theta)
-    gains = after - before
+    gains, points = after - before, len(criterion.evidence.statics)
     # The part with the largest gain, not the sum over all: a noisy current would hide that a law of the force explains
     # all that the position lacks.
     part = int(np.argmax(gains))
-    lacking = floor.lacking(before, len(criterion.evidence.statics))[part]
     # A finite lack is one beyond the uncertainty of the noise, so that a share of it means something.
-    if np.isfinite(lacking):
-        return float(gains[part] / lacking)
+    if np.isfinite(floor.lacking(before, points)[part]):
+        # What is left is measured by the floor of the model with the cause: what it says is random cannot be explained.
+        left = floor.under(criterion, best.fit.theta).part_excess(after, points)[part]
+        return float(gains[part] / (gains[part] + max(left, 0.0)))
     if gains[part] > settings.MINOR_SHARE_AT_NOISE * (before - none)[part]:
         return 1.0
     excess = floor.excess(current.loglik)

@@ -44,6 +44,7 @@ from twin.estimation.ekf.memory import (
     wandered,
 )
 from twin.estimation.ekf.predict import (
+    add_jitter,
     add_process_noise,
     advance,
     carry,
@@ -161,9 +162,10 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             if unknown:
                 doubt_input(f, inputs, lost, n, t[n - 1], T_s)
             add_process_noise(f, T_s)
+            add_jitter(f, inputs, n, T_s)
         elif follows:
             held = input_over(f.c[:], inputs, n, f.first, step[n])
-            predict_held(f, held, n, t[n - 1], step[n], _held_at(f, flags[n - 1], y_x[n - 1]), known)
+            predict_held(f, held, inputs, n, t[n - 1], step[n], _held_at(f, flags[n - 1], y_x[n - 1]), known)
             _write_step(f, written, n)
         if not follows:
             f.first = n

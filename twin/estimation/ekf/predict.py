@@ -16,11 +16,12 @@ from twin.estimation.propagate import (
     HeldInput,
     copy,
     current_held,
+    delay_s,
     input_over,
     propagate,
 )
 from twin.estimation.structures import Steps
-from twin.model.causes import amplifier_gain_drift, coulomb_friction, magnetic_hysteresis
+from twin.model.causes import actuation_delay, amplifier_gain_drift, coulomb_friction, magnetic_hysteresis
 from twin.model.causes.catalogue import OFFSETS
 from twin.model.extended import (
     FIELD,
@@ -186,6 +187,25 @@ def add_process_noise(f: Memory, T_s: float) -> None:
 
 
 @inlined
+def add_jitter(f: Memory, inputs: Floats, n: int, T_s: float) -> None:
+    """Add to the covariance what the inputs do by acting at other times than usual, in the interval to sample n."""
+    if f.c[actuation_delay.JITTER] <= 0.0:
+        return
+    T_A, delay, reach = f.paper[1], delay_s(f.c), actuation_delay.reach_s(f.c)
+    felt = f.F[2, 0] / (T_A * (1.0 - math.exp(-T_s / T_A)))  # speed of the ball by the area below i_c
+    # The intervals before this one are taken to be as long: in one chain they are.
+    for k in range(max(n - 2 - int((delay + reach) / T_s), f.first + 1), n):
+        since, change = (n - k) * T_s - delay, f.paper[0] * (inputs[k] - inputs[k - 1])
+        if abs(change) > 0.0 and -reach < since < T_s + reach:  # not where an input is unknown, either
+            of_i, area = actuation_delay.disturbance(f.c, T_A, since, T_s)
+            of_i, of_v = change * of_i, change * felt * area
+            f.P[0, 0] += of_i * of_i
+            f.P[0, 2] += of_i * of_v
+            f.P[2, 0] = f.P[0, 2]
+            f.P[2, 2] += of_v * of_v
+
+
+@inlined
 def wander_on(f: Memory, T_s: float) -> None:
     """Add to the covariance how far the offsets wander in an interval, and what is new in coloured noise."""
     for k in range(f.wandering, f.coloured):
@@ -217,7 +237,7 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
 
 
 @inlined
-def predict_held(f: Memory, u: HeldInput, n: int, t: float, T_s: float, x: float, known: Steps) -> None:
+def predict_held(f: Memory, u: HeldInput, inputs: Floats, n: int, t: float, T_s: float, x: float, known: Steps) -> None:
     """Predict current, warmth and loop at sample n with the ball held at x, m.
 
     The other arguments are those of `propagate`; `known` as in `filter.filtered`.
@@ -239,6 +259,7 @@ def predict_held(f: Memory, u: HeldInput, n: int, t: float, T_s: float, x: float
     slopes_of_colour(f, T_s)
     carry(f.F, f.P, f.G, f.m)
     f.P[0, 0] += f.q_i * T_s
+    add_jitter(f, inputs, n, T_s)
     wander_on(f, T_s)
 
 

@@ -25,7 +25,7 @@ Trait = Literal[
 # found in what is left, and an error of what the campaign states, which only competes with a named cause.
 Detector = Literal["score-test", "spectral-line", "sensor-line", "gaps", "remainder", "stated"]
 AtRest = Literal["", "balance", "amplifier"]
-PLACES = 129
+PLACES = 130
 NO_PLACE = -1  # of a parameter that acts before the kernels
 
 
@@ -50,6 +50,7 @@ class CauseParameter:
     # Of a shape, which the data often leave open: the standard deviation of its prior about neutral; inf: none.
     spread: float = math.inf
     walks: bool = False  # the strength is a random walk, and this its standard deviation after a minute
+    random: bool = False  # a standard deviation, of which a simulation has nothing
 
     def coordinate(self, value: float) -> float:
         """The number that the estimator moves."""

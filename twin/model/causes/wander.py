@@ -26,6 +26,7 @@ def wander(index: int, *, unit: str, high: float, probe: float) -> CauseParamete
         probes=(probe,),
         spread=0.3 * high,
         walks=True,
+        random=True,
     )
 
 

@@ -348,6 +348,16 @@ def test_a_sentence_says_how_far_an_offset_wanders() -> None:
     assert "wanders" not in finding_sentence("current-sensor-offset", {"offset_a": offset, "wander_a": steady})
 
 
+def test_a_sentence_says_how_far_a_delay_varies() -> None:
+    delay = Parameter(value=1.45e-3, unit="s", std=5e-6, ci95=(1.44e-3, 1.46e-3))
+    jitter = Parameter(value=1.1e-4, unit="s", std=5e-6, ci95=(1e-4, 1.2e-4))
+
+    sentence = finding_sentence("actuation-delay", {"delay_s": delay, "jitter_s": jitter})
+    assert "delay = 1.440 to 1.460 ms, 95 %; varies by 0.110 ms from tick to tick" in sentence
+    steady = replace(jitter, value=5e-6)
+    assert "varies" not in finding_sentence("actuation-delay", {"delay_s": delay, "jitter_s": steady})
+
+
 def test_numbers_have_the_digits_that_their_interval_leaves() -> None:
     assert measured(2.4003e-3, (2.21e-3, 2.59e-3), "m") == ("2.40 mm", "2.21 to 2.59 mm")
     assert measured(99.98, (99.9, 100.06), "A/s") == ("99.98 A/s", "99.90 to 100.06 A/s")
