@@ -70,6 +70,8 @@ def test_how_far_a_delay_varies_is_found() -> None:
     assert abs(drawn.theta.value(DELAY) - DELAY_S) < 4.0 * drawn.std(DELAY, PLANT)
     assert drawn.std(DELAY, PLANT) < fixed.std(DELAY, PLANT)
     assert white == pytest.approx(1.0, abs=0.05)
+    # What the ball has felt of a late input, although i_c no longer shows it, is no disturbance of its own.
+    assert drawn.theta.process_a_m_s2 < 0.5 * fixed.theta.process_a_m_s2
 
 
 @pytest.mark.slow
