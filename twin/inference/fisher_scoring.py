@@ -15,10 +15,11 @@ from twin.inference import optimiser
 from twin.inference.likelihood import Criterion, mean_square
 from twin.inference.optimiser import CLOSE, SLOW_TOLERANCE, Slopes, active_of, covariance_of
 from twin.inference.optimiser import Fit as Fit
-from twin.inference.theta import Theta, prior_spread
+from twin.inference.theta import Theta, parameter_of, prior_spread
 from twin.settings import diagnosis as settings
 
 TOLERANCE = 0.02  # of a standard error: 2e-4 of log-likelihood is left
+_FIRST_SPREAD = 0.25  # of the usual probe of what varies from tick to tick: where its likelihood is tried
 
 
 def with_covariance(criterion: Criterion, fit: Fit, slopes: tuple[FloatArray, FloatArray] | None = None) -> Fit:
@@ -50,7 +51,24 @@ def climb(
 
     With `approximate`, cheaper slopes lead near the maximum, and the fit counts as not converged.  The climb ends early
     where it will not come near the log-likelihood `goal`.
+
+    What varies from tick to tick is free only at the maximum of the rest: far from it, it would take up all errors.
     """
+    spreads = [name for name in free if _varies(name) and start.value(name) == parameter_of(name).neutral]
+    if spreads:
+        rest = [name for name in free if name not in spreads]
+        fit = climb(criterion, start, rest, passes=passes, tolerance=tolerance, approximate=approximate, goal=goal)
+        start = fit.theta.all_of((name, _FIRST_SPREAD * parameter_of(name).probes[0]) for name in spreads)
+        if fit.converged and criterion.value(start) > fit.loglik - narrowing(rest, fit.covariance):
+            varying = climb(criterion, start, free, passes=passes, tolerance=tolerance)
+            # A spread also leads across the kinks at which a fixed delay stops.
+            steady = varying.theta.all_of((name, parameter_of(name).neutral) for name in spreads)
+            fit = max(
+                fit, climb(criterion, steady, rest, passes=passes, tolerance=tolerance), key=lambda fit: fit.loglik
+            )
+            if varying.loglik > fit.loglik:
+                return varying
+        return _with_neutral(fit, free)
     # An approximate fit stops at the looser tolerance: its slopes are not worth more.
     surface = _Surface(criterion, approximate=approximate)
     top = optimiser.climb(
@@ -69,6 +87,18 @@ def climb(
         converged=top.converged and not approximate,
         ahead=max(top.ahead, settings.ROUGH_LEFT) if approximate else top.ahead,
     )
+
+
+def _varies(name: str) -> bool:
+    return "." in name and parameter_of(name).random and not parameter_of(name).walks
+
+
+def _with_neutral(fit: Fit, free: Sequence[str]) -> Fit:
+    """Return the fit as one in `free`, of which those that it did not have are at their bound."""
+    covariance = np.zeros((len(free), len(free)))
+    indices = [free.index(name) for name in fit.free]
+    covariance[np.ix_(indices, indices)] = fit.covariance
+    return replace(fit, free=tuple(free), covariance=covariance)
 
 
 def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:

@@ -71,7 +71,6 @@ CAUSE = Cause(
             name="delay that is drawn at each tick",
             values={"jitter_s": 0.0002},
             source="J. Nilsson, Real-Time Control Systems with Delays, 1998",
-            probed=True,
         ),
     ),
     measured_probes=AT_THE_KINKS,

@@ -15,6 +15,7 @@ from twin.diagnosis.search.stepwise import select
 from twin.diagnosis.search.task import Search
 from twin.estimation.record import Record
 from twin.evidence.dead_time import dead_time
+from twin.inference.fisher_scoring import narrowing
 from twin.inference.noise_floor import floor_of
 from twin.model.causes.catalogue import BY_NAME
 
@@ -78,7 +79,11 @@ def test_what_does_the_same_is_fitted_once_and_named_twice(delayed_records: list
     assert [trial.cause for trial in both] == ["actuation-delay", "sampling-delay"]
     assert both[0].gain == both[1].gain == first_trial.gain
     assert both[1].fit.free[-2:] == ("sampling-delay.delay_s", "sampling-delay.in_captures")
-    assert criterion.value(both[1].fit.theta) == pytest.approx(both[0].fit.loglik, abs=1e-6)
+    shapes = narrowing(both[1].fit.free, both[1].fit.covariance)
+    assert criterion.value(both[1].fit.theta) + shapes == pytest.approx(both[0].fit.loglik, abs=1e-6)
+    # The jitter has led across the kinks of the likelihood, and is gone.
+    assert both[0].fit.theta.value("actuation-delay.delay_s") == pytest.approx(DELAY_S, rel=1e-3)
+    assert both[0].fit.theta.value("actuation-delay.jitter_s") == 0.0
     selection = select(Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=DELAYS), base)
     assert selection.causes == ("actuation-delay",)
     assert [trial.cause for trial in selection.classes["actuation-delay"]] == ["sampling-delay"]
