@@ -58,7 +58,8 @@ def test_nobody_s_plant_is_assumed_and_said_and_a_card_ends_that(
 def test_with_its_card_another_ball_is_identified(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig, folder, model = tmp_path / "rig.toml", tmp_path / "c", tmp_path / "model.json"
     rig.write_text(DRAGGED_RIG)
-    with emulated_line(tmp_path, rig=str(rig), limits=LIMITS) as line:
+    # The default noise happens to be less white than usual (p = 0.03 to 0.15 in four flights): near the alarm at 0.001.
+    with emulated_line(tmp_path, rig=str(rig), limits=LIMITS, seed=120) as line:
         state(line)
         assert run(line, folder, "--quick") == 0
     capsys.readouterr()
