@@ -19,7 +19,6 @@ from twin.inference.theta import Theta, parameter_of, prior_spread
 from twin.settings import diagnosis as settings
 
 TOLERANCE = 0.02  # of a standard error: 2e-4 of log-likelihood is left
-_FIRST_SPREAD = 0.25  # of the usual probe of what varies from tick to tick: where its likelihood is tried
 
 
 def with_covariance(criterion: Criterion, fit: Fit, slopes: tuple[FloatArray, FloatArray] | None = None) -> Fit:
@@ -58,7 +57,7 @@ def climb(
     if spreads:
         rest = [name for name in free if name not in spreads]
         fit = climb(criterion, start, rest, passes=passes, tolerance=tolerance, approximate=approximate, goal=goal)
-        start = fit.theta.all_of((name, _FIRST_SPREAD * parameter_of(name).probes[0]) for name in spreads)
+        start = fit.theta.all_of((name, settings.START_SPREAD * parameter_of(name).probes[0]) for name in spreads)
         if fit.converged and criterion.value(start) > fit.loglik - narrowing(rest, fit.covariance):
             varying = climb(criterion, start, free, passes=passes, tolerance=tolerance)
             # A spread also leads across the kinks at which a fixed delay stops.

@@ -197,12 +197,16 @@ def add_jitter(f: Memory, inputs: Floats, n: int, T_s: float) -> None:
     for k in range(max(n - 2 - int((delay + reach) / T_s), f.first + 1), n):
         since, change = (n - k) * T_s - delay, f.paper[0] * (inputs[k] - inputs[k - 1])
         if abs(change) > 0.0 and -reach < since < T_s + reach:  # not where an input is unknown, either
-            of_i, area = actuation_delay.disturbance(f.c, T_A, since, T_s)
+            of_i, area, way_s = actuation_delay.disturbance(f.c, T_A, since, T_s)
             of_i, of_v = change * of_i, change * felt * area
+            of_x = way_s * of_v
             f.P[0, 0] += of_i * of_i
+            f.P[0, 1] += of_i * of_x
             f.P[0, 2] += of_i * of_v
-            f.P[2, 0] = f.P[0, 2]
+            f.P[1, 1] += of_x * of_x
+            f.P[1, 2] += of_x * of_v
             f.P[2, 2] += of_v * of_v
+            f.P[1, 0], f.P[2, 0], f.P[2, 1] = f.P[0, 1], f.P[0, 2], f.P[1, 2]
 
 
 @inlined

@@ -84,7 +84,7 @@ def reach_s(c: Vector) -> float:
 
 
 @inlined
-def disturbance(c: Vector, T_A: float, since_s: float, T_s: float) -> tuple[float, float]:
+def disturbance(c: Vector, T_A: float, since_s: float, T_s: float) -> tuple[float, float, float]:
     """Return what the jitter of one change of the input adds in an interval, over K_A times that change.
 
     Args:
@@ -94,14 +94,17 @@ def disturbance(c: Vector, T_A: float, since_s: float, T_s: float) -> tuple[floa
         T_s: the interval, s.
 
     Returns:
-        Standard deviations: of the current at the end, and of the area below the current, s.
+        Standard deviations of the current at the end and of the area below the current, s; and how long, on average,
+        the ball has moved by that area at the end, s.
     """
     a = reach_s(c)
     before = math.exp(-2.0 * T_s / T_A) * _variance(a, T_A, since_s - T_s)
     of_i = math.sqrt(max(_variance(a, T_A, since_s) - before, 0.0))
     # The area between the responses to two delays is their difference in the end.  T_A of_i of it is still to come.
     decided = min(max(since_s, -a), a) - min(max(since_s - T_s, -a), a)
-    return of_i, max(c[JITTER] * math.sqrt(decided / (2.0 * a)) - T_A * of_i, 0.0)
+    area = max(c[JITTER] * math.sqrt(decided / (2.0 * a)) - T_A * of_i, 0.0)
+    acted = min(since_s, T_s)
+    return of_i, area, acted / (1.0 - math.exp(-acted / T_A)) - T_A if acted > 0.0 else 0.0
 
 
 @inlined

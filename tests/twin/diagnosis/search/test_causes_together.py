@@ -110,6 +110,25 @@ def test_the_next_cause_decides_between_candidates_that_gain_nearly_as_much(lead
     assert sorted(trial.cause for trial in order) == [delay, offset]
 
 
+@pytest.mark.parametrize(("share", "selected"), [(0.0, "current-sensor-offset"), (1.0, "actuation-delay")])
+def test_a_forward_step_asks_for_the_next_cause_of_all_leaders(
+    share: float, selected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Alone the delay gains most; with the offset first, the two explain more together."""
+    monkeypatch.setattr(settings, "LEADERS_SHARE", share)
+    delay, offset = BY_NAME["actuation-delay"], BY_NAME["current-sensor-offset"]
+    criterion = criterion_of(narrow(strong(delay.name, 1e-3, strong(offset.name, 0.1)), seconds=3.0))
+    try:
+        base = fitted(criterion, THETA)
+        task = replace(trusting(criterion, base, offset), candidates=(offset, delay))
+        step = forward.forward(task, base, base)
+    finally:
+        criterion.close()
+
+    assert step.selected == selected
+    assert max(step.trials, key=lambda trial: trial.gain).cause == delay.name
+
+
 @pytest.mark.slow
 def test_a_cause_that_only_led_another_to_a_higher_maximum_is_removed() -> None:
     rig = strong("coulomb-friction", 4e-3)
