@@ -188,7 +188,8 @@ def test_the_whole_rig_is_explained_in_part_and_said_so(tmp_path: Path) -> None:
     assert first["parameters"]["jitter_s"]["value"] == pytest.approx(1.1e-4, abs=3e-5)
     assert {cause["name"] for cause in others} == {"current-sensor-offset", "freewheel-diode"}
     offset = next(cause["parameters"]["offset_a"] for cause in others if cause["name"] == "current-sensor-offset")
-    assert offset["ci95"][0] > -0.03 and offset["ci95"][1] < 0.03  # at rest it reads 2 to 27 mA
+    low, high = offset["ci95"]
+    assert -0.03 < low < high < 0.03  # at rest it reads 2 to 27 mA
     assert {candidate["name"] for candidate in diagnosis["candidates"]} == {"air-gap-offset"}
     assert 0.02 < diagnosis["unexplained"]["share_of_excess"] < 0.1
     judge = diagnosis["gain"]["judge"]
