@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from tests.harness.diagnose.hidden_campaign import PlantName
 from tests.twin.diagnosis.remainder.test_remainder import paper_model
-from twin.diagnosis.remainder.rivals import Rival, rivals_of
+from twin.diagnosis.remainder.rivals import Rival, best_curve, rivals_of
 from twin.diagnosis.search.state import Selection
+from twin.diagnosis.search.stepwise import select
+from twin.diagnosis.search.task import Search
 from twin.inference.fisher_scoring import climb
+from twin.inference.noise_floor import floor_of
 from twin.inference.theta import coordinates_of
 from twin.model.causes.catalogue import BY_NAME
 
@@ -54,3 +59,41 @@ def test_a_right_name_stays(tmp_path: Path) -> None:
 def test_a_right_effect_by_another_formula_stays(tmp_path: Path) -> None:
     """A polynomial of the gap below i^2: its free form explains a little more than an exponent."""
     assert rivals(tmp_path, "force-exponent", plant="textbook", effects={"gap-polynomial": 0.6}) == {}
+
+
+@contextmanager
+def asked(
+    folder: Path, names: tuple[str, ...], *, effects: Mapping[str, float], outside: Mapping[str, float]
+) -> Iterator[tuple[Search, Selection, list[str]]]:
+    """A search for these names that knows the best curve, what it selects, and the lines that it reports."""
+    lines: list[str] = []
+    with paper_model(folder, outside, effects=effects, seed=SEED) as (criterion, base):
+        task = Search(
+            criterion=criterion,
+            floor=floor_of(criterion, base.theta),
+            candidates=[BY_NAME[name] for name in names],
+            quick=True,
+            curve=partial(best_curve, criterion, base),
+            report=lines.append,
+        )
+        yield task, select(task, base), lines
+
+
+@pytest.mark.slow
+def test_where_a_curve_explains_more_than_names_can_no_further_one_is_looked_for(tmp_path: Path) -> None:
+    imitations = ("position-sensor-nonlinearity", "force-exponent", "residual-magnetism", "core-saturation")
+    with asked(tmp_path, imitations, effects={}, outside={"spring-of-a-cable": 8.0}) as (task, selection, lines):
+        rivals = rivals_of(task.criterion, selection)
+
+    assert any("no further one is looked for" in line for line in lines)
+    assert len(selection.causes) == 2
+    assert set(rivals) == set(selection.causes)
+
+
+@pytest.mark.slow
+def test_right_names_are_looked_for_although_a_curve_explains_one_of_them(tmp_path: Path) -> None:
+    hidden = {"air-gap-offset": 3e-4, "quadratic-drag": 2.0, "amplifier-dead-zone": 0.05}
+    with asked(tmp_path, tuple(hidden), effects=hidden, outside={}) as (_, selection, lines):
+        assert set(selection.causes) == set(hidden)
+
+    assert not any("no further one is looked for" in line for line in lines)
