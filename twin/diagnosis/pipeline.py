@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from twin.diagnosis.checks.change_point import find_change
 from twin.diagnosis.checks.outlier_recording import Outlier, find_outlier
 from twin.diagnosis.judge.reference_model import check_plant
 from twin.diagnosis.options import Options, Progress
+from twin.diagnosis.remainder.rivals import best_curve
 from twin.diagnosis.report.sentences import change_sentence, outlier_sentence
 from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.search.stepwise import select
@@ -248,6 +250,7 @@ def _search(criterion: Criterion, start: Theta, records: Sequence[Record], optio
         max_candidates=settings.CANDIDATES_QUICK if options.quick else settings.CANDIDATES,
         min_share=options.share,
         quick=options.quick,
+        curve=cache(partial(best_curve, criterion, base)),
         report=say,
     )
     with timed(stages, "search"):

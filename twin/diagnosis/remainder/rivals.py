@@ -60,6 +60,13 @@ def rivals_of(criterion: Criterion, selection: Selection) -> Mapping[str, Rival]
     return rivals
 
 
+def best_curve(criterion: Criterion, base: Fit) -> Fit | None:
+    """Return the likeliest fit of the paper's model with one curve; None where no curve's quantity moves."""
+    leading = scores(criterion, base, CURVES)[: settings.RIVALS_FITTED]
+    fits = [fully_fitted(criterion, roughly_fitted(criterion, base, score)) for score in leading]
+    return max(fits, key=lambda fit: fit.loglik, default=None)
+
+
 def _rival(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -> Rival | None:
     without = _fit_without(criterion, selection, names)
     gain = selection.fit.loglik - without.loglik

@@ -62,10 +62,13 @@ def _steps(search: Search, selection: Selection, classes: bool) -> Iterator[Sele
     # Forward and backward steps alone are greedy: a false first name stays if the later ones lean on it.  The class
     # search may replace it, and then the forward steps are worth another try.  The number of round trips is limited,
     # as two causes of one class could replace each other for ever.
+    outdone = False
     for _ in range(settings.ROUND_TRIPS if search.thorough and classes else 1):
         while len(selection.causes) < max_causes:
             for step_result in _add(search, selection):
                 yield (selection := step_result)
+            if outdone := _outdone(search, selection):
+                break
             # A pair only after a refusal: it costs a fit for each of many candidates, and a single cause is the simpler
             # answer.
             if selection.rounds[-1].selected:
@@ -81,12 +84,30 @@ def _steps(search: Search, selection: Selection, classes: bool) -> Iterator[Sele
         # has other phases.
         yield (selection := _refine_phases(search, selection))
         with search.criterion.budget.question(_confounder_question(selection.causes)):
-            selection = find_classes(search, selection)
+            # The names fall as rivals of the curve, so their classes are worth little effort.
+            selection = find_classes(replace(search, quick=True) if outdone else search, selection)
         yield selection
         yield (selection := _refine_phases(search, selection))
         # A cause that was refused next to a false name may be needed next to the right one.
-        if set(selection.causes) == before or not material(search, selection.fit):
+        if outdone or set(selection.causes) == before or not material(search, selection.fit):
             break
+
+
+def _outdone(search: Search, selection: Selection) -> bool:
+    """Tell whether one curve is likelier than the names would be if a further one explained all that is missing.
+
+    Each further name costs what a name must gain, as between names and their rivals (`remainder/rivals.py`).
+    """
+    names, fit = len(selection.causes), selection.fit
+    missing = search.floor.under(search.criterion, fit.theta).excess(fit.loglik)
+    price = names * settings.MIN_GAIN
+    if names < 2 or missing < price:
+        return False
+    curve = search.curve()
+    if curve is None or curve.loglik < fit.loglik + missing - price:
+        return False
+    search.report("a curve of unknown origin explains more than names can: no further one is looked for")
+    return True
 
 
 def _refine_phases(search: Search, selection: Selection) -> Selection:

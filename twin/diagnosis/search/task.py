@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from twin.inference.fisher_scoring import Fit
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import Floor
 from twin.model.causes.catalogue import CATALOGUE
@@ -26,6 +27,8 @@ class Search:
     max_candidates: int = settings.CANDIDATES  # that are fitted in a round
     min_share: float = settings.MIN_SHARE  # of the unexplained rest that a cause must explain
     quick: bool = False
+    # The best curve of unknown origin beside the paper's model; None if there is none.  Asked where names leave a rest.
+    curve: Callable[[], Fit | None] = lambda: None
     report: Callable[[str], None] = lambda line: None  # receives lines of progress
 
     @property
