@@ -18,7 +18,7 @@ from twin.diagnosis.search.candidate_starts import substitute_start
 from twin.diagnosis.search.line_place import placed
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.sensor_line import line_scores
-from twin.diagnosis.search.state import Selection, fit_without, material, superfluous
+from twin.diagnosis.search.state import Selection, fit_without, superfluous
 from twin.diagnosis.search.task import Search
 from twin.inference.fisher_scoring import Fit, climb
 from twin.inference.likelihood import Criterion
@@ -32,16 +32,12 @@ def find_classes(search: Search, selection: Selection) -> Selection:
 
     With `quick` and several causes, the class of the last cause is read from the trials of its round, without new fits.
     The other causes were selected while later ones were missing, so a few candidates are fitted for each.
-
-    If several causes leave more than noise, one of them may be false.  A thorough search then begins with the last one
-    and fits all candidates, whatever their score.  Beside dry friction, the score test predicted only a fifteenth of
-    what a true cause gained.
     """
     criterion = search.criterion
     selection = replace(selection, classes={}, runner_up={})
     if len(selection.causes) > 1 and not search.quick:
         selection = selection.with_fits(criterion.each(partial(fit_without, criterion, selection), selection.causes))
-    for cause in selection.causes[::-1] if _doubtful(search, selection) else selection.causes:
+    for cause in selection.causes:
         if search.quick and len(selection.causes) > 1 and _is_last(selection, cause):
             # The trials of its own round serve: they were fitted beside all other causes, as this was the last.
             selected = Trial(cause=cause, fit=selection.fit, gain=selection.gains[cause])
@@ -61,11 +57,6 @@ def find_classes(search: Search, selection: Selection) -> Selection:
         if changed:
             return find_classes(search, selection)
     return selection
-
-
-def _doubtful(search: Search, selection: Selection) -> bool:
-    """Tell whether one of several causes may be false."""
-    return search.thorough and len(selection.causes) > 1 and material(search, selection.fit)
 
 
 def _refit_from_usual_forms(criterion: Criterion, fit: Fit, cause: str) -> Fit:
@@ -131,7 +122,7 @@ def _class_of(search: Search, selection: Selection, cause: str) -> tuple[Selecti
     Returns the selection, and True if two causes were replaced by one or if `cause` is superfluous; then all classes
     are found again.
     """
-    criterion, fit_all = search.criterion, _doubtful(search, selection)
+    criterion = search.criterion
     if len(selection.causes) == 1:
         current = selection.base
     else:
@@ -143,7 +134,7 @@ def _class_of(search: Search, selection: Selection, cause: str) -> tuple[Selecti
     if is_needless and len(selection.causes) > 1:
         search.report(f"dropped: {cause} (the others explain it)")
         return selection.dropping(cause, current), True
-    trials = placed(criterion, selected, _rivals(search, selection, current, selected, fit_all=fit_all))
+    trials = placed(criterion, selected, _rivals(search, selection, current, selected))
     # The selected cause, too, may be at a local maximum.  So it is fitted again from the candidate's parameters before
     # the candidate replaces it.
     if trials and trials[0].gain > selected.gain + settings.EQUIVALENT_GAIN:
@@ -183,7 +174,7 @@ def _exchanged(criterion: Criterion, selection: Selection, cause: str, best: Tri
     return replace(selection, causes=causes, fit=fit, gains=gains)
 
 
-def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial, *, fit_all: bool) -> list[Trial]:
+def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial) -> list[Trial]:
     """Fit the candidates that may be in the class of a selected cause; best first.
 
     Args:
@@ -191,7 +182,6 @@ def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial,
         selection: the selected causes.
         current: the fit without the cause of `selected`.
         selected: the cause, with its fit and gain.
-        fit_all: whether candidates are fitted whatever their score.
     """
     criterion, cause = search.criterion, BY_NAME[selected.cause]
     remaining = [entry for entry in search.candidates if entry.name not in selection.causes]
@@ -216,16 +206,15 @@ def _rivals(search: Search, selection: Selection, current: Fit, selected: Trial,
     scores = [score for score in scores if score.cause not in decided and score.testable]
     scores = [score for score in scores if score.gain > settings.MIN_CLASS_SCORE * settings.MIN_GAIN]
     cutoff_gain = selected.gain - settings.OUT_OF_CLASS_GAIN
-    if not fit_all:
-        # A score estimates a gain by a parabola, which may be wrong by the factor `steepness`.  So the score only
-        # sorts out candidates that cannot reach the class even then.
-        scores = [
-            score
-            for score in scores
-            if score.gain > settings.COMPARABLE_SCORE * gain
-            # Either condition suffices: a similar signature, or a gain that could still reach the class.
-            if score.cause in similar or score.gain * steepness(score.cause) > cutoff_gain
-        ][: max((1 if search.quick else search.max_candidates) - len(known), 2)]
+    # A score estimates a gain by a parabola, which may be wrong by the factor `steepness`.  So the score only sorts out
+    # candidates that cannot reach the class even then.
+    scores = [
+        score
+        for score in scores
+        if score.gain > settings.COMPARABLE_SCORE * gain
+        # Either condition suffices: a similar signature, or a gain that could still reach the class.
+        if score.cause in similar or score.gain * steepness(score.cause) > cutoff_gain
+    ][: max((1 if search.quick else search.max_candidates) - len(known), 2)]
     trials = [trial for trial in known if trial.cause not in (cause.name, *same)]
     trials += [renamed(criterion, selected, other) for other in same]
     # Candidates far behind the class are not fitted to the end: only the lead in `runner_up` depends on them.
