@@ -127,9 +127,10 @@ MIN_BENEFIT = 0.5
 BENEFIT_HORIZON_S = 0.02
 BENEFIT_PREDICTIONS = 200
 BENEFIT_QUANTILE = 0.99  # of the errors before; those above are due to single events
-# Tuned.  Share of what the causes gain together, below which a gain corrects their form and is not a further cause.
+# Tuned.  Share of all that the paper's model lacks, below which a gain corrects the form of a cause or of the unknown
+# rest and is not a further cause.
 MINOR_SHARE = 0.005
-# Tuned.  The same once hardly more than noise is left.
+# Tuned.  The same once hardly more than noise is left, of what the causes gain together.
 MINOR_SHARE_AT_NOISE = 0.015
 MAX_CAUSES = 4  # reasoned: in one answer
 

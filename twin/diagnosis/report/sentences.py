@@ -158,7 +158,7 @@ def round_sentence(step: Round) -> str:
     because = {
         "chance": f", but its gain of {best.gain:.1f} may be chance",
         "outside its range": ", but outside its physical range",
-        "minor": ", but is a minor effect compared with the named causes",
+        "minor": ", but is a minor effect compared with all that was missing",
         "minor beside noise": ", but hardly more than noise is left, and it is a minor effect",
         "small share": f", but explains {100 * step.share:.0f} % of what is left",
     }

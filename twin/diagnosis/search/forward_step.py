@@ -60,9 +60,8 @@ def forward(search: Search, base: Fit, current: Fit) -> Round:
         scores = _with_dead_time(criterion, current, scores)
         floor = search.floor.under(criterion, current.theta)
     excess, material = floor.excess(current.loglik), floor.material(current.loglik)
-    gained = current.loglik - base.loglik
     # Candidates that cannot reach the required share are not fitted.
-    min_gain = (min(settings.MINOR_SHARE, min_share) if material else settings.MINOR_SHARE_AT_NOISE) * gained
+    min_gain = _minor_gain(floor, base, current, min_share)
     if min_share > settings.MIN_SHARE and material:
         min_gain = max(min_gain, min_share * excess)
     # A share of the best score, too: beside a strong candidate a weak one loses, and the next round asks for it again.
@@ -132,7 +131,7 @@ def decide(
     """Decide whether the best trial is selected; `base` has no causes, `floor` is that of `current`."""
     if not trials:
         return Round(scores=tuple(scores), trials=(), selected="")
-    gained, min_reduction = current.loglik - base.loglik, _required_reduction(min_share)
+    min_reduction = _required_reduction(min_share)
     possible = [trial for trial in trials if within_range(trial)]
     # Only the best is judged.  A weaker candidate in place of a refused better one would be a name that explains less.
     best = (possible or trials)[0]
@@ -144,10 +143,8 @@ def decide(
         refusal = "chance"
     elif not possible:
         refusal = "outside its range"
-    elif best.gain < min(settings.MINOR_SHARE, min_share) * gained:
-        refusal = "minor"
-    elif not floor.material(current.loglik) and best.gain < settings.MINOR_SHARE_AT_NOISE * gained:
-        refusal = "minor beside noise"
+    elif best.gain < _minor_gain(floor, base, current, min_share):
+        refusal = "minor" if floor.material(current.loglik) else "minor beside noise"
     elif (
         floor.material(current.loglik)
         and share < min_share
@@ -164,6 +161,15 @@ def decide(
         share=share,
         refusal=refusal,
     )
+
+
+def _minor_gain(floor: Floor, base: Fit, current: Fit, min_share: float) -> float:
+    """Return the gain below which an effect is minor, by what the model without causes lacks."""
+    gained = current.loglik - base.loglik
+    # What is still missing counts, too: beside a large unknown rest a small effect is hardly ever what its name says.
+    if floor.material(current.loglik):
+        return min(settings.MINOR_SHARE, min_share) * (gained + floor.excess(current.loglik))
+    return settings.MINOR_SHARE_AT_NOISE * gained
 
 
 def _share(criterion: Criterion, base: Fit, current: Fit, floor: Floor, best: Trial) -> float:

@@ -1,8 +1,7 @@
-"""Names that should not stand: of a cause that explains nothing any more, of one that the screen alone would keep."""
+"""Names that should not stand, and where a candidate for the place of one begins."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,19 +18,16 @@ from twin.diagnosis.search.equivalence import find_classes
 from twin.diagnosis.search.forward_step import Round
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.state import Selection
-from twin.diagnosis.search.task import Search
-from twin.inference.fisher_scoring import Fit, climb
-from twin.inference.noise_floor import floor_of
-from twin.inference.theta import BASE, STOPS, coordinates_of, reinitialised
+from twin.inference.fisher_scoring import Fit
+from twin.inference.theta import BASE, coordinates_of
 from twin.model.causes.catalogue import BY_NAME
 from twin.settings import diagnosis as settings
 
-GAP, DRAG, FORCE, FRICTION, MAGNETISM = (
+GAP, DRAG, FORCE, FRICTION = (
     "air-gap-offset",
     "quadratic-drag",
     "constant-force",
     "coulomb-friction",
-    "residual-magnetism",
 )
 
 
@@ -56,43 +52,6 @@ def test_a_cause_that_turns_out_to_explain_nothing_is_dropped() -> None:
     assert set(selected.gains) == {GAP}
     assert selected.fit.free == (*BASE, *coordinates_of(GAP))
     assert selected.fit.loglik > before - settings.MIN_GAIN
-
-
-@pytest.mark.slow
-@pytest.mark.xfail(
-    reason="found from 1 of 5 starts near these numbers, from 0 of 17 since a held ball's steps are reused: the climb "
-    "with friction ends at a kink where the false name gains too little to be doubted"
-)
-def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_knows() -> None:
-    """The friction comes out wrong without the magnetism, and there is no slope from there to the true numbers."""
-    rig = strong(MAGNETISM, 0.04, strong(FRICTION, 3e-3))
-    criterion = criterion_of(narrow(rig, seconds=8.0))
-    free = (*BASE, *STOPS, coordinates_of(FRICTION)[0])  # beside friction with its shapes no force is named
-    try:
-        base = climb(criterion, THETA, (*BASE, *STOPS))
-        true = climb(criterion, rig, (*free, *coordinates_of(MAGNETISM)))
-        rubs = climb(criterion, reinitialised(strong(FRICTION, 3e-3)), free)
-        scores = {score.cause: score for score in screen(criterion, rubs.theta, rubs.free)}
-        false = climb(criterion, start_of(criterion, rubs.theta, scores[FORCE]), (*free, *coordinates_of(FORCE)))
-        floor = floor_of(criterion, base.theta)
-        doubtful = floor.under(criterion, false.theta).material(false.loglik)
-        at_first = selection(base, false, FRICTION, FORCE)
-        spared = find_classes(trusting(criterion, base, BY_NAME[MAGNETISM]), at_first)
-        task = Search(criterion=criterion, floor=floor, candidates=(BY_NAME[MAGNETISM],), max_candidates=3)
-        exchanged = find_classes(task, at_first)
-    finally:
-        criterion.close()
-
-    assert doubtful
-    assert true.loglik - rubs.loglik > 50.0 * scores[MAGNETISM].gain
-    assert MAGNETISM not in spared.causes
-    assert exchanged.causes == (FRICTION, MAGNETISM)
-    # The likelihood of dry friction has kinks, at which a climb may end.
-    assert exchanged.fit.loglik > true.loglik - 0.02 * (true.loglik - rubs.loglik)
-    index = exchanged.fit.free.index("residual-magnetism.i_r_a")
-    error = math.sqrt(exchanged.fit.covariance[index, index])
-    assert 0.0 < error < 0.01
-    assert exchanged.fit.theta.value("residual-magnetism.i_r_a") == pytest.approx(0.04, abs=error)
 
 
 def test_a_candidate_starts_with_the_numbers_of_the_causes_that_stood_in_for_it() -> None:
