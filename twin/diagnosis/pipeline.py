@@ -259,12 +259,14 @@ def _search(criterion: Criterion, start: Theta, records: Sequence[Record], optio
         with criterion.free():
             is_adequate, why_not = adequate(criterion, selection.fit, floor.under(criterion, selection.fit.theta))
     change = None
-    # Only where a cause that acts always does not suffice: a change has more freedom, and would explain what a cause
-    # does.
+    # Only where what acts always does not suffice, a cause or an unknown curve: a change has more freedom, and would
+    # explain what they do.
     if not is_adequate and not options.quick:
         question = "whether an effect begins or ends in the middle of the campaign"
         with timed(stages, "change"), suppress(Spent), budget.question(question):
-            change = find_change(search, selection, workers=options.workers)
+            curve = search.curve()
+            if curve is None or not adequate(criterion, curve, floor.under(criterion, curve.theta))[0]:
+                change = find_change(search, selection, workers=options.workers)
     if change is not None:
         criterion, selection, is_adequate, why_not = change.criterion, change.selection, True, ""
     return SearchResult(

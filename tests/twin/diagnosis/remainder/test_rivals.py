@@ -9,8 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.harness.diagnose.hidden_campaign import PlantName
+from protocol.campaign import load
+from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
 from tests.twin.diagnosis.remainder.test_remainder import paper_model
+from twin.diagnosis.options import Options
+from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.remainder.rivals import Rival, best_curve, rivals_of
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stepwise import select
@@ -97,3 +100,16 @@ def test_right_names_are_looked_for_although_a_curve_explains_one_of_them(tmp_pa
         assert set(selection.causes) == set(hidden)
 
     assert not any("no further one is looked for" in line for line in lines)
+
+
+@pytest.mark.slow
+def test_what_a_curve_explains_is_not_examined_as_a_change_in_the_middle(tmp_path: Path) -> None:
+    lines: list[str] = []
+    make_campaign(tmp_path, effects={"quadratic-drag": 3.0}, seed=SEED, plant="independent", quick=True)
+
+    diagnosis = diagnose(load(tmp_path), Options(without=("quadratic-drag",), say=lines.append))
+
+    assert diagnosis.verdict == "unknown-cause"
+    assert diagnosis.remainder is not None
+    assert [shape.curve.name for shape in diagnosis.remainder.shapes] == ["force-over-speed"]
+    assert not any("did something change" in line for line in lines)
