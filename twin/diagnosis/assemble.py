@@ -314,7 +314,6 @@ def _remainder(
         return remainder_of(
             CurveJudge(search.criterion, judge, options.seed),
             choice.fit,
-            search.base if has_remainder else None,
             search.floor,
             candidates,
             rival=rival,

@@ -5,12 +5,9 @@ Rule 1: a curve is fitted to the recordings for fitting.  The error of x 20 ms a
 Rule 2: a curve is taken only if that error surely falls by more than 5 %, so that noise gets none.
 Rule 3: a cause of the catalogue with the curve's form takes its place if it predicts as well.  It has fewer numbers and
         holds outside the range.  It stays a candidate: the search did not find enough for a name.
-Rule 4: named causes may only imitate an unknown cause if a rest is left.  So a curve is also tried with the paper's
-        model alone.  That may predict as well, and be at least as likely as the names without a curve.  Then the names
-        are left out of the extended model, and none of them holds.
-Rule 5: where a curve has already taken the place of a name by the likelihood (`rivals.py`), it is the only one that is
-        tried.  With `--quick` nothing else is modelled.
-Rule 6: no other verdict and no confidence follows from it.
+Rule 4: where a curve has taken the place of names by the likelihood (`rivals.py`), it is the only one that is tried.
+        If it predicts as well, the names are left out of the extended model.  With `--quick` nothing else is modelled.
+Rule 5: no other verdict and no confidence follows from it.
 """
 
 from __future__ import annotations
@@ -191,7 +188,6 @@ class _Extension:
 def remainder_of(
     judging: CurveJudge,
     named: Fit,
-    paper: Fit | None,
     floor: Floor,
     candidates: Sequence[Cause],
     *,
@@ -202,7 +198,6 @@ def remainder_of(
     Args:
         judging: chooses the curve, and measures its worth.
         named: the model with its causes.
-        paper: the paper's model, where the causes are not sure; else None.
         floor: sensor noise.
         candidates: causes that may have the form of a curve.
         rival: a curve that took the place of a name, and its fit; None: there is none.
@@ -216,22 +211,16 @@ def remainder_of(
         return None
     attempts: list[Attempt] = []
     best = _Extension(extends="causes", fit=named, squares=before)
-    instead: _Extension | None = None
-    if rival is not None:
-        # A curve that took a name's place is the only one that is tried: the names that others would stand beside no
-        # longer hold.
-        instead = _substituted(judging, rival, named, attempts)
-    else:
-        best = _extend(judging, best, candidates, attempts, max_curves=settings.MAX_CURVES)
-        if paper is not None and named.theta.causes:
-            bare = _Extension(extends="paper", fit=paper, squares=judging.squares(paper.theta))
-            # One curve, as it is one unknown effect that the names may imitate together.
-            instead = _extend(judging, bare, (), attempts, max_curves=1)
     refused: Cause | None = None
-    if instead is not None and _replaces_names(judging, instead, best, named, is_rival=rival is not None):
-        best = instead
-    elif instead is not None and rival is not None:
-        refused = rival.curve
+    if rival is None:
+        best = _extend(judging, best, candidates, attempts)
+    else:
+        # No other curve: the names that it would stand beside no longer hold.
+        instead = _substituted(judging, rival, named, attempts)
+        if judging.choosing(instead.squares) <= settings.LIKE_ERROR * judging.choosing(before):
+            best = instead
+        else:
+            refused = rival.curve
     values = visited(judging.criterion.evidence)
     return Remainder(
         fit=best.fit,
@@ -245,14 +234,6 @@ def remainder_of(
     )
 
 
-def _replaces_names(judging: CurveJudge, instead: _Extension, best: _Extension, named: Fit, *, is_rival: bool) -> bool:
-    """Return whether one curve predicts and explains as well as all named causes: nothing speaks for the names then."""
-    if judging.choosing(instead.squares) > settings.LIKE_ERROR * judging.choosing(best.squares):
-        return False
-    # A rival explains more by the price of its names, which is not in the likelihoods.
-    return is_rival or instead.fit.loglik >= named.loglik
-
-
 def _substituted(judging: CurveJudge, rival: Rival, named: Fit, attempts: list[Attempt]) -> _Extension:
     """Return the model with a curve in the place of a name."""
     squares = judging.squares(rival.fit.theta)
@@ -262,9 +243,7 @@ def _substituted(judging: CurveJudge, rival: Rival, named: Fit, attempts: list[A
     return _Extension(extends=extends, fit=rival.fit, squares=squares, curves=(rival.curve,))
 
 
-def _extend(
-    judging: CurveJudge, at: _Extension, candidates: Sequence[Cause], attempts: list[Attempt], *, max_curves: int
-) -> _Extension:
+def _extend(judging: CurveJudge, at: _Extension, candidates: Sequence[Cause], attempts: list[Attempt]) -> _Extension:
     """Add curves, or causes of their form, while the error falls.
 
     Args:
@@ -272,10 +251,9 @@ def _extend(
         at: the model to begin with.
         candidates: causes that may have the form of a curve.
         attempts: receives each curve and each cause that was fitted.
-        max_curves: largest number of curves that are added.
     """
     criterion = judging.criterion
-    for _ in range(max_curves):
+    for _ in range(settings.MAX_CURVES):
         promising = scores(criterion, at.fit, [curve for curve in CURVES if curve not in at.curves])
         promising = [score for score in promising[: settings.CURVES_FITTED] if score.evidence > settings.MIN_GAIN]
         # The likelihood chooses which curves are fitted, the prediction which one is kept: what a smooth function

@@ -41,6 +41,11 @@ class Selection:
         stale = fit and periodic.AMPLITUDE in free and fit.theta.phases_s != self.fit.theta.phases_s
         return None if stale else fit
 
+    @property
+    def overlaps(self) -> bool:
+        """Tell whether the causes explain more jointly than the sum of what is lost without each."""
+        return 2.0 * sum(self.gains.values()) < self.fit.loglik - self.base.loglik
+
     def dropping(self, cause: str, fit: Fit) -> Selection:
         """Return a copy without a cause; `fit` is that of the others."""
         causes = tuple(name for name in self.causes if name != cause)

@@ -91,6 +91,8 @@ def _steps(search: Search, selection: Selection, classes: bool) -> Iterator[Sele
         # A cause that was refused next to a false name may be needed next to the right one.
         if outdone or set(selection.causes) == before or not material(search, selection.fit):
             break
+    if classes and len(selection.causes) > 1 and selection.overlaps:
+        yield _sole(search, selection)
 
 
 def _outdone(search: Search, selection: Selection) -> bool:
@@ -108,6 +110,32 @@ def _outdone(search: Search, selection: Selection) -> bool:
         return False
     search.report("a curve of unknown origin explains more than names can: no further one is looked for")
     return True
+
+
+def _sole(search: Search, selection: Selection) -> Selection:
+    """Return the selection with the one cause that alone explains nearly all that is missing, if there is one.
+
+    Others beside it only correct its form, and hide what is lost without it.
+    """
+    criterion, base = search.criterion, selection.base
+
+    def alone(cause: str) -> Fit:
+        free = (*base.free, *(name for name in selection.fit.free if name.startswith(cause + ".")))
+        theta = selection.fit.theta
+        for other in set(selection.causes) - {cause}:
+            theta = theta.without(other, criterion.plant)
+        return selection.recall(free) or climb(criterion, reinitialised(theta), free)
+
+    question = "whether one of several similar causes explains nearly all alone"
+    with criterion.budget.question(question):
+        fits = dict(zip(selection.causes, criterion.each(alone, selection.causes), strict=True))
+        cause = max(fits, key=lambda name: fits[name].loglik)
+        gain = fits[cause].loglik - base.loglik
+        left = search.floor.under(criterion, selection.fit.theta).excess(selection.fit.loglik)
+        if gain < settings.FREE_FORM_SHARE * (selection.fit.loglik - base.loglik + max(left, 0.0)):
+            return selection
+        search.report(f"{cause} alone explains nearly all: the others only correct its form")
+        return find_classes(search, replace(selection, causes=(cause,), fit=fits[cause], gains={cause: gain}))
 
 
 def _refine_phases(search: Search, selection: Selection) -> Selection:

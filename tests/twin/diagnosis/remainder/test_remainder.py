@@ -62,7 +62,7 @@ def modelled(folder: Path, criterion: Criterion, fit: Fit, candidates: bool = Fa
     campaign = load(folder)
     judge = gather(read_campaign(campaign, use="judge"), campaign.plant)
     causes = assemble.testable_causes(criterion.evidence.records, ()) if candidates else ()
-    return remainder_of(CurveJudge(criterion, judge, 0), fit, None, floor_of(criterion, fit.theta), causes, rival=None)
+    return remainder_of(CurveJudge(criterion, judge, 0), fit, floor_of(criterion, fit.theta), causes, rival=None)
 
 
 @pytest.fixture(scope="module")

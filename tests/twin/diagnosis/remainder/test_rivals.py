@@ -66,11 +66,16 @@ def test_a_right_effect_by_another_formula_stays(tmp_path: Path) -> None:
 
 @contextmanager
 def asked(
-    folder: Path, names: tuple[str, ...], *, effects: Mapping[str, float], outside: Mapping[str, float]
+    folder: Path,
+    names: tuple[str, ...],
+    *,
+    effects: Mapping[str, float],
+    outside: Mapping[str, float],
+    plant: PlantName = "independent",
 ) -> Iterator[tuple[Search, Selection, list[str]]]:
     """A search for these names that knows the best curve, what it selects, and the lines that it reports."""
     lines: list[str] = []
-    with paper_model(folder, outside, effects=effects, seed=SEED) as (criterion, base):
+    with paper_model(folder, outside, effects=effects, seed=SEED, plant=plant) as (criterion, base):
         task = Search(
             criterion=criterion,
             floor=floor_of(criterion, base.theta),
@@ -113,3 +118,28 @@ def test_what_a_curve_explains_is_not_examined_as_a_change_in_the_middle(tmp_pat
     assert diagnosis.remainder is not None
     assert [shape.curve.name for shape in diagnosis.remainder.shapes] == ["force-over-speed"]
     assert not any("did something change" in line for line in lines)
+
+
+@pytest.mark.slow
+def test_a_name_that_alone_explains_nearly_all_holds_without_the_one_that_corrects_its_form(tmp_path: Path) -> None:
+    """A dead zone by another formula: beside an offset neither explains much that the other does not."""
+    names = ("amplifier-dead-zone", "amplifier-offset")
+    with asked(tmp_path, names, effects={"dead-zone-quadratic": 0.27}, outside={}, plant="textbook") as (*_, lines):
+        pass
+
+    assert any(line.startswith("amplifier-dead-zone alone explains nearly all") for line in lines)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("stiffness_n_m", "count"), [(4.0, 1), (6.0, 2)])
+def test_names_that_imitate_a_spring_fall_to_its_curve_alone_and_together(
+    tmp_path: Path, stiffness_n_m: float, count: int
+) -> None:
+    """They overlap in both; of the softer spring one explains nine tenths."""
+    names = ("position-sensor-nonlinearity", "residual-magnetism")
+    outside = {"spring-of-a-cable": stiffness_n_m}
+    with asked(tmp_path, names, effects={}, outside=outside) as (task, selection, _):
+        rivals = rivals_of(task.criterion, selection)
+
+    assert len(selection.causes) == count
+    assert set(rivals) == set(selection.causes)
