@@ -67,7 +67,10 @@ def build(folder: Path) -> tuple[Path, Path]:
     (sdist,) = made.glob("*.tar.gz")
     normalise(sdist)
     with tarfile.open(sdist) as archive:
-        archive.extractall(folder, filter="data")
+        # Debian 12 has Python 3.11.2, which knows no filters yet.
+        if hasattr(tarfile, "data_filter"):
+            archive.extraction_filter = tarfile.data_filter
+        archive.extractall(folder)
     call_backend("build_wheel", folder / sdist.name.removesuffix(".tar.gz"), made)
     (wheel,) = made.glob("*.whl")
     return sdist, wheel

@@ -118,7 +118,7 @@ def assemble(inputs: Inputs, search: SearchResult, options: Options) -> Diagnosi
         remainder = _remainder(inputs, search, outcome.whole, choice, options, names.rivals)
         harms = not _harmless(bench, outcome.before, choice, remainder)
         remainder = None if harms else remainder
-    verdict = _verdict(outcome, remainder)
+    verdict = outcome.verdict
     findings = findings_of(selection, account, names.spread, proposals, verdict, lost, plant)
     findings = [_qualified(finding, search, names) for finding in findings]
     lines = lines_of(findings, search.criterion, selection.fit.theta)
@@ -216,13 +216,6 @@ def _qualified(finding: Finding, search: SearchResult, names: _Names) -> Finding
     """Return the finding with the curve that would replace it and the recording in which it begins or ends."""
     finding = with_rival(finding, names.selection, names.rivals)
     return finding if search.change is None else with_change(finding, search.change)
-
-
-def _verdict(outcome: Judgement, remainder: Remainder | None) -> Verdict:
-    """Return the verdict; no name holds where a curve does as well with the paper's model alone."""
-    if outcome.verdict == "partly-explained" and remainder is not None and remainder.extends == "paper":
-        return "unknown-cause"
-    return outcome.verdict
 
 
 def _where(search: SearchResult, names: _Names, outcome: Judgement, verdict: Verdict) -> str:

@@ -96,9 +96,9 @@ def _steps(search: Search, selection: Selection, classes: bool) -> Iterator[Sele
 
 
 def _outdone(search: Search, selection: Selection) -> bool:
-    """Tell whether one curve is likelier than the names would be if a further one explained all that is missing.
+    """Tell whether one curve leaves only noise, and is likelier than several names by the price of each.
 
-    Each further name costs what a name must gain, as between names and their rivals (`remainder/rivals.py`).
+    The names then fall as its rivals (`remainder/rivals.py`), unless one of them alone is its effect.
     """
     names, fit = len(selection.causes), selection.fit
     missing = search.floor.under(search.criterion, fit.theta).excess(fit.loglik)
@@ -106,9 +106,9 @@ def _outdone(search: Search, selection: Selection) -> bool:
     if names < 2 or missing < price:
         return False
     curve = search.curve()
-    if curve is None or curve.loglik < fit.loglik + missing - price:
+    if curve is None or curve.loglik < fit.loglik + price or material(search, curve):
         return False
-    search.report("a curve of unknown origin explains more than names can: no further one is looked for")
+    search.report("a curve of unknown origin explains more than the names: no further one is looked for")
     return True
 
 
