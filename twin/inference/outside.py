@@ -34,9 +34,9 @@ class Outside:
     def slopes(self, theta: Theta, models: Sequence[Theta], steps: Sequence[float]) -> tuple[FloatArray, FloatArray]:
         """Return (score, Fisher information), from models a step away from `theta`."""
         residuals, spread = self._residuals(theta)
-        others = [self._residuals(other) for other in models]
-        change = np.array([(other - residuals) / step for (other, _), step in zip(others, steps, strict=True)])
-        wider = np.array([(other - spread) / step for (_, other), step in zip(others, steps, strict=True)])
+        moved = [self._residuals(model) for model in models]
+        change = np.array([(values - residuals) / step for (values, _), step in zip(moved, steps, strict=True)])
+        wider = np.array([(value - spread) / step for (_, value), step in zip(moved, steps, strict=True)])
         # Of a wander the samples say far more than a few points: what these add to its information is left out.
         return -change @ residuals - wider, change @ change.T
 

@@ -119,16 +119,16 @@ def _sole(search: Search, selection: Selection) -> Selection:
     """
     criterion, base = search.criterion, selection.base
 
-    def alone(cause: str) -> Fit:
+    def fit_single(cause: str) -> Fit:
         free = (*base.free, *(name for name in selection.fit.free if name.startswith(cause + ".")))
         theta = selection.fit.theta
-        for other in set(selection.causes) - {cause}:
-            theta = theta.without(other, criterion.plant)
+        for dropped in set(selection.causes) - {cause}:
+            theta = theta.without(dropped, criterion.plant)
         return selection.recall(free) or climb(criterion, reinitialised(theta), free)
 
     question = "whether one of several similar causes explains nearly all alone"
     with criterion.budget.question(question):
-        fits = dict(zip(selection.causes, criterion.each(alone, selection.causes), strict=True))
+        fits = dict(zip(selection.causes, criterion.each(fit_single, selection.causes), strict=True))
         cause = max(fits, key=lambda name: fits[name].loglik)
         gain = fits[cause].loglik - base.loglik
         left = search.floor.under(criterion, selection.fit.theta).excess(selection.fit.loglik)
