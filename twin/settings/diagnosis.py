@@ -225,7 +225,7 @@ START_MIN_REACH = 0.05
 START_USUAL_REACH = 0.3  # where the step is shorter than that
 START_PARTS = (1.0, 0.3, 0.1)
 START_SIZES = (0.5, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0, 5.0)
-# Of the usual probe of what varies from tick to tick: its likelihood is flat at zero, so it is tried there.
+# Reasoned.  Of the usual probe of what varies from tick to tick: its likelihood is flat at zero, so it is tried there.
 START_SPREAD = 0.25
 # Samples of the same u_c before i_c / u_c is K_A, change of u_c that counts as the same, share of the largest u_c from
 # which the ratio counts, and readings without which it is not computed.

@@ -100,10 +100,10 @@ def _outdone(search: Search, selection: Selection) -> bool:
 
     The names then fall as its rivals (`remainder/rivals.py`), unless one of them alone is its effect.
     """
-    names, fit = len(selection.causes), selection.fit
-    missing = search.floor.under(search.criterion, fit.theta).excess(fit.loglik)
-    price = names * settings.MIN_GAIN
-    if names < 2 or missing < price:
+    if len(selection.causes) < 2:
+        return False
+    fit, price = selection.fit, len(selection.causes) * settings.MIN_GAIN
+    if search.floor.under(search.criterion, fit.theta).excess(fit.loglik) < price:
         return False
     curve = search.curve()
     if curve is None or curve.loglik < fit.loglik + price or material(search, curve):
