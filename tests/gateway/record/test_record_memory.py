@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 import pytest
 
@@ -66,7 +68,8 @@ def test_a_part_that_is_closed_leaves_no_channels_behind(tmp_path: Path) -> None
         del writer
         sizes.append(allocated())
 
-    assert sizes[-1] - sizes[9] < 1000 * 30 * len(keys)  # bytes; it was 6 kB for each channel of a part
+    growths = [after - before for before, after in pairwise(sizes[9:])]
+    assert median(growths) < 1000 * len(keys)  # bytes a part; it was 6 kB for each channel.  Other threads have bursts
 
 
 def test_the_bytes_of_the_line_leave_nothing_behind(tmp_path: Path) -> None:
