@@ -8,8 +8,9 @@ Rule 1: the likelihood of a fit has the coefficients of a curve integrated out (
 Rule 2: a name falls if a curve in its place is likelier.  Several names may imitate one unknown effect, and then each
         gains a lot beside the others.  So a curve also competes with all of them together.  Each further name costs
         what a name must gain.
-Rule 3: a curve may be the free form of a name: with it nothing could be learnt about the name.  Then the name stays if
-        it alone explains nearly all that the curve does.  It is the right effect by another formula.
+Rule 3: a curve may be the free form of a name: it is at the same place of the loop, and with it nothing could be learnt
+        about the name.  Then the name stays if it alone explains nearly all that the curve does, and no curve at
+        another place is likelier.  It is the right effect by another formula.
 
 The comparison is that of D. J. C. MacKay, Bayesian interpolation, Neural Computation 4(3), 1992.
 """
@@ -72,6 +73,7 @@ def _rival(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -
     gain = selection.fit.loglik - without.loglik
     # A score is the gain of a parabola, which fits exceeded by a factor of up to 6.  Far behind is out.
     close = [score for score in scores(criterion, without, CURVES) if settings.RIVAL_SCORE * score.evidence > gain]
+    rivals: list[Rival] = []
     for score in close[: settings.RIVALS_FITTED]:
         # Of those fits none was more than a tenth short of its maximum.
         goal = without.loglik + settings.FREE_FORM_SHARE * gain
@@ -80,13 +82,16 @@ def _rival(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -
             continue
         fit = fully_fitted(criterion, fit)
         lead = fit.loglik - selection.fit.loglik + (len(names) - 1) * settings.MIN_GAIN
-        if lead <= 0.0:
-            continue
-        # Several names fall together or not at all: if one is right by another formula, the others are compared alone.
-        if not any(_is_free_form(criterion, selection, names, name, score.curve, fit) for name in names):
+        if lead > 0.0:
             is_sole = len(names) == len(selection.causes)
-            return Rival(curve=score.curve, names=names, lead=lead, fit=fit, is_sole=is_sole)
-    return None
+            rivals.append(Rival(curve=score.curve, names=names, lead=lead, fit=fit, is_sole=is_sole))
+    best = max(rivals, key=lambda rival: rival.lead, default=None)
+    if best is None:
+        return None
+    # Several names fall together or not at all: if one is right by another formula, the others are compared alone.
+    equal = [rival for rival in rivals if best.lead - rival.lead <= settings.EQUIVALENT_GAIN]
+    is_free_form = any(_is_free_form(criterion, selection, name, rival) for rival in equal for name in names)
+    return None if is_free_form else best
 
 
 def _fit_without(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -> Fit:
@@ -102,15 +107,15 @@ def _fit_without(criterion: Criterion, selection: Selection, names: tuple[str, .
     return selection.recall(free) or climb(criterion, reinitialised(theta), free)
 
 
-def _is_free_form(
-    criterion: Criterion, selection: Selection, names: tuple[str, ...], name: str, curve: Cause, fit: Fit
-) -> bool:
-    """Return whether a curve in the place of `names` is only the free form of one of them."""
-    without = _fit_without(criterion, selection, names)
-    removed = tuple(cause for cause in names if cause != name)
+def _is_free_form(criterion: Criterion, selection: Selection, name: str, rival: Rival) -> bool:
+    """Return whether a curve in the place of names is only the free form of one of them."""
+    if rival.curve.family != BY_NAME[name].family:
+        return False
+    without = _fit_without(criterion, selection, rival.names)
+    removed = tuple(cause for cause in rival.names if cause != name)
     with_name = _fit_without(criterion, selection, removed) if removed else selection.fit
-    share = (with_name.loglik - without.loglik) / (fit.loglik - without.loglik)
-    return share >= settings.FREE_FORM_SHARE and _absorbs(criterion, without, curve, name)
+    share = (with_name.loglik - without.loglik) / (rival.fit.loglik - without.loglik)
+    return share >= settings.FREE_FORM_SHARE and _absorbs(criterion, without, rival.curve, name)
 
 
 def _absorbs(criterion: Criterion, without: Fit, curve: Cause, cause: str) -> bool:

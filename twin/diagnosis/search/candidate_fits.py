@@ -104,11 +104,11 @@ def start_trial(criterion: Criterion, current: Fit, score: Score) -> Trial:
     """Fit the candidate of a score a little."""
     start = start_of(criterion.thinner, current.theta, score)
     fit = approach(criterion, start, current.free + coordinates_of(score.cause))
-    fit = _with_exchanged_lags(criterion, fit, score.cause)
+    fit = _with_exchanged_lags(criterion, current, fit, score.cause)
     return Trial(cause=score.cause, fit=fit, gain=fit.loglik - current.loglik - score.chance)
 
 
-def _with_exchanged_lags(criterion: Criterion, fit: Fit, cause: str) -> Fit:
+def _with_exchanged_lags(criterion: Criterion, current: Fit, fit: Fit, cause: str) -> Fit:
     """Return the better of a fit and one in which T_A and the time of the cause have changed places.
 
     Two lags in series are the same to a sensor behind both, so each order is a maximum, and only one is the truth.
@@ -118,9 +118,9 @@ def _with_exchanged_lags(criterion: Criterion, fit: Fit, cause: str) -> Fit:
     if strength.unit != "s" or not strength.low < T_A < strength.high:
         return fit
     start = fit.theta.having("T_A", fit.theta.value(name)).having(name, T_A)
-    # One run decides whether the exchange is fitted.  A fit from both orders in any case would double the cost of every
-    # lag.
-    if criterion.value(start) <= fit.loglik:
+    # The other numbers still fit the first order, so the exchange alone may be far worse than it.  Not worth a fit is
+    # only what is worse than the model without the cause.
+    if criterion.value(start) <= current.loglik:
         return fit
     again = approach(criterion, start, fit.free)
     return again if again.loglik > fit.loglik else fit

@@ -18,7 +18,17 @@ from twin.diagnosis.search.score_test import Score, probed, two_sided
 from twin.estimation.record import Record
 from twin.evidence.starting.regression import amplifier_start
 from twin.inference.likelihood import Criterion
-from twin.inference.theta import COLOURS, NOISES, PARAMETERS, STOPS, Theta, max_step, moved, with_equal_rests
+from twin.inference.theta import (
+    COLOURS,
+    NOISES,
+    PARAMETERS,
+    STOPS,
+    Theta,
+    max_step,
+    moved,
+    parameter_of,
+    with_equal_rests,
+)
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
 from twin.settings import diagnosis as settings
@@ -29,9 +39,10 @@ def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
     cause, theta = BY_NAME[score.cause], replace(theta, phases_s=score.phases_s or theta.phases_s)
     # Many starts, each judged by one run of the filter: a pass of a fit costs a run for each free number.
     starts = [
-        _linear(criterion, theta, score, cause, part, names)
+        start
         for names in _coordinate_sets(score)
         for part in settings.START_PARTS
+        for start in _linear(criterion, theta, score, part, names)
     ]
     if cause.family == "amplifier":
         gains, times = {theta.K_A}, {theta.T_A}
@@ -135,8 +146,8 @@ def _coordinate_sets(score: Score) -> list[list[str]]:
     return [paper, names] if together else [paper]
 
 
-def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part: float, names: Sequence[str]) -> Theta:
-    strength = cause.strength
+def _linear(criterion: Criterion, theta: Theta, score: Score, part: float, names: Sequence[str]) -> list[Theta]:
+    strength = BY_NAME[score.cause].strength
     # In units of the usual probe: the same distance is more steps of a finer probe.
     max_reach = settings.START_MAX_REACH / min(score.fineness, 1.0)
     reach = min(max(score.step, -max_reach), max_reach)
@@ -151,4 +162,14 @@ def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part
         if name in names:
             max_move = max_step(name)  # a coordinate that the data do not determine would run away
             theta = moved(theta, name, min(max(move * reach, -max_move), max_move), criterion.plant)
-    return probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach), score.other_values)
+    value = strength.value(strength.coordinate(score.probe) * reach)
+    # A shape that acts beside a strength of its own grows with the step, and may change its sign; another one does not.
+    grown = tuple((name, _grown(name, known, reach)) for name, known in score.other_values)
+    return [probed(theta, BY_NAME[score.cause], value, shapes) for shapes in dict.fromkeys((score.other_values, grown))]
+
+
+def _grown(name: str, value: float, reach: float) -> float:
+    if "." not in name:
+        return value
+    shape = parameter_of(name)
+    return shape.value(shape.coordinate(value) * reach) if shape.low < shape.neutral < shape.high else value

@@ -52,6 +52,7 @@ CAUSE = Cause(
             name="pole farther away",
             values={"bend": 1.0},
             source="W. Barie, J. Chiasson, International Journal of Systems Science 27(11), 1996: 1 / (a + gap)^2",
+            probed=True,
         ),
     ),
 )

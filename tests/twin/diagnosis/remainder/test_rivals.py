@@ -33,9 +33,10 @@ def rivals(
     plant: PlantName,
     effects: Mapping[str, float] | None = None,
     outside: Mapping[str, float] | None = None,
+    seed: int = SEED,
 ) -> Mapping[str, Rival]:
     """The rivals of a cause that is fitted to a campaign with this effect."""
-    with paper_model(folder, outside or {}, effects=effects, seed=SEED, plant=plant) as (criterion, base):
+    with paper_model(folder, outside or {}, effects=effects, seed=seed, plant=plant) as (criterion, base):
         strength = BY_NAME[cause].strength
         begin = base.theta.having(f"{cause}.{strength.name}", strength.probes[0])
         fit = climb(criterion, begin, (*base.free, *coordinates_of(cause)))
@@ -62,6 +63,15 @@ def test_a_right_name_stays(tmp_path: Path) -> None:
 def test_a_right_effect_by_another_formula_stays(tmp_path: Path) -> None:
     """A polynomial of the gap below i^2: its free form explains a little more than an exponent."""
     assert rivals(tmp_path, "force-exponent", plant="textbook", effects={"gap-polynomial": 0.6}) == {}
+
+
+@pytest.mark.slow
+def test_a_law_of_the_force_for_a_bent_sensor_falls(tmp_path: Path) -> None:
+    """Beside its curve nothing could be learnt about the exponent, but the curve is at another place of the loop."""
+    hidden = {"position-sensor-nonlinearity": 1e-4}
+    results = rivals(tmp_path, "force-exponent", plant="emulator", effects=hidden, seed=12859)
+
+    assert results["force-exponent"].curve.name == "sensor-over-height"
 
 
 @contextmanager
