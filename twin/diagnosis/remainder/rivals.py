@@ -17,10 +17,18 @@ The comparison is that of D. J. C. MacKay, Bayesian interpolation, Neural Comput
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from twin.diagnosis.remainder.curve_fits import coefficients, fully_fitted, roughly_fitted, scores, visited, with_range
+from twin.diagnosis.remainder.curve_fits import (
+    CurveScore,
+    coefficients,
+    fully_fitted,
+    roughly_fitted,
+    scores,
+    visited,
+    with_range,
+)
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.state import Selection, fit_without
 from twin.inference.fisher_scoring import Fit, climb
@@ -30,6 +38,16 @@ from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
 from twin.model.causes.curve import CURVES
 from twin.settings import diagnosis as settings
+
+# What the causes act on (`Cause.acts_on`) whose free form a curve may be.
+_PLACES = {
+    "force-over-height": ("net force of (6)",),
+    "force-over-speed": ("net force of (6)", "drag (5)"),
+    "pull-over-height": ("magnetic force (3)",),
+    "pull-over-current": ("magnetic force (3)",),
+    "drive-over-input": ("input of (1)", "target current of (1)"),
+    "sensor-over-height": ("position sensor",),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,10 +91,27 @@ def _rival(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -
     gain = selection.fit.loglik - without.loglik
     # A score is the gain of a parabola, which fits exceeded by a factor of up to 6.  Far behind is out.
     close = [score for score in scores(criterion, without, CURVES) if settings.RIVAL_SCORE * score.evidence > gain]
-    rivals: list[Rival] = []
-    for score in close[: settings.RIVALS_FITTED]:
+    rivals = _likelier(criterion, selection, names, without, close[: settings.RIVALS_FITTED])
+    if not rivals:
+        return None
+    # The free form of a name may have a smaller score than a curve elsewhere: it decides, so it is fitted, too.
+    own = [score for score in close[settings.RIVALS_FITTED :] if any(_is_at(score.curve, name) for name in names)]
+    rivals += _likelier(criterion, selection, names, without, own)
+    best = max(rivals, key=lambda rival: rival.lead)
+    # Several names fall together or not at all: if one is right by another formula, the others are compared alone.
+    equal = [rival for rival in rivals if best.lead - rival.lead <= settings.EQUIVALENT_GAIN]
+    is_free_form = any(_is_free_form(criterion, selection, name, rival) for rival in equal for name in names)
+    return None if is_free_form else best
+
+
+def _likelier(
+    criterion: Criterion, selection: Selection, names: tuple[str, ...], without: Fit, curves: Sequence[CurveScore]
+) -> list[Rival]:
+    """Return those of the curves that are likelier than the names in their place."""
+    rivals = []
+    for score in curves:
         # Of those fits none was more than a tenth short of its maximum.
-        goal = without.loglik + settings.FREE_FORM_SHARE * gain
+        goal = without.loglik + settings.FREE_FORM_SHARE * (selection.fit.loglik - without.loglik)
         fit = roughly_fitted(criterion, without, score, goal=goal)
         if fit.loglik < goal:
             continue
@@ -85,13 +120,7 @@ def _rival(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -
         if lead > 0.0:
             is_sole = len(names) == len(selection.causes)
             rivals.append(Rival(curve=score.curve, names=names, lead=lead, fit=fit, is_sole=is_sole))
-    best = max(rivals, key=lambda rival: rival.lead, default=None)
-    if best is None:
-        return None
-    # Several names fall together or not at all: if one is right by another formula, the others are compared alone.
-    equal = [rival for rival in rivals if best.lead - rival.lead <= settings.EQUIVALENT_GAIN]
-    is_free_form = any(_is_free_form(criterion, selection, name, rival) for rival in equal for name in names)
-    return None if is_free_form else best
+    return rivals
 
 
 def _fit_without(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -> Fit:
@@ -109,13 +138,18 @@ def _fit_without(criterion: Criterion, selection: Selection, names: tuple[str, .
 
 def _is_free_form(criterion: Criterion, selection: Selection, name: str, rival: Rival) -> bool:
     """Return whether a curve in the place of names is only the free form of one of them."""
-    if rival.curve.family != BY_NAME[name].family:
+    if not _is_at(rival.curve, name):
         return False
     without = _fit_without(criterion, selection, rival.names)
     removed = tuple(cause for cause in rival.names if cause != name)
     with_name = _fit_without(criterion, selection, removed) if removed else selection.fit
     share = (with_name.loglik - without.loglik) / (rival.fit.loglik - without.loglik)
     return share >= settings.FREE_FORM_SHARE and _absorbs(criterion, without, rival.curve, name)
+
+
+def _is_at(curve: Cause, name: str) -> bool:
+    """Return whether a curve is at the place of the loop of this cause."""
+    return BY_NAME[name].acts_on in _PLACES[curve.name]
 
 
 def _absorbs(criterion: Criterion, without: Fit, curve: Cause, cause: str) -> bool:

@@ -74,6 +74,14 @@ def test_a_law_of_the_force_for_a_bent_sensor_falls(tmp_path: Path) -> None:
     assert results["force-exponent"].curve.name == "sensor-over-height"
 
 
+@pytest.mark.slow
+def test_a_law_of_the_magnet_s_force_for_a_spring_falls(tmp_path: Path) -> None:
+    """A force without the magnet is at another place, although the ball hovers where both are equal."""
+    results = rivals(tmp_path, "force-exponent", plant="independent", outside={"wire-spring": 1.18e6}, seed=12923)
+
+    assert results["force-exponent"].curve.name == "force-over-height"
+
+
 @contextmanager
 def asked(
     folder: Path,
