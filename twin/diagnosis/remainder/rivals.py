@@ -40,7 +40,7 @@ from twin.model.causes.curve import CURVES
 from twin.settings import diagnosis as settings
 
 # What the causes act on (`Cause.acts_on`) whose free form a curve may be.
-_PLACES = {
+PLACES = {
     "force-over-height": ("net force of (6)",),
     "force-over-speed": ("net force of (6)", "drag (5)"),
     "pull-over-height": ("magnetic force (3)",),
@@ -149,7 +149,7 @@ def _is_free_form(criterion: Criterion, selection: Selection, name: str, rival: 
 
 def _is_at(curve: Cause, name: str) -> bool:
     """Return whether a curve is at the place of the loop of this cause."""
-    return BY_NAME[name].acts_on in _PLACES[curve.name]
+    return BY_NAME[name].acts_on in PLACES[curve.name]
 
 
 def _absorbs(criterion: Criterion, without: Fit, curve: Cause, cause: str) -> bool:

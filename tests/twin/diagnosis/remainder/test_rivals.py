@@ -14,14 +14,15 @@ from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
 from tests.twin.diagnosis.remainder.test_remainder import paper_model
 from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
-from twin.diagnosis.remainder.rivals import Rival, best_curve, rivals_of
+from twin.diagnosis.remainder.rivals import PLACES, Rival, best_curve, rivals_of
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stepwise import select
 from twin.diagnosis.search.task import Search
 from twin.inference.fisher_scoring import climb
 from twin.inference.noise_floor import floor_of
 from twin.inference.theta import coordinates_of
-from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.causes.curve import CURVES
 
 SEED = 23
 
@@ -63,6 +64,11 @@ def test_a_right_name_stays(tmp_path: Path) -> None:
 def test_a_right_effect_by_another_formula_stays(tmp_path: Path) -> None:
     """A polynomial of the gap below i^2: its free form explains a little more than an exponent."""
     assert rivals(tmp_path, "force-exponent", plant="textbook", effects={"gap-polynomial": 0.6}) == {}
+
+
+def test_each_curve_is_at_a_place_of_the_catalogue() -> None:
+    assert set(PLACES) == {curve.name for curve in CURVES}
+    assert {place for places in PLACES.values() for place in places} <= {cause.acts_on for cause in CATALOGUE}
 
 
 @pytest.mark.slow
