@@ -36,18 +36,8 @@ from twin.inference.likelihood import Criterion
 from twin.inference.theta import reinitialised
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
-from twin.model.causes.curve import CURVES
+from twin.model.causes.curve import CURVES, PLACES
 from twin.settings import diagnosis as settings
-
-# What the causes act on (`Cause.acts_on`) whose free form a curve may be.
-PLACES = {
-    "force-over-height": ("net force of (6)",),
-    "force-over-speed": ("net force of (6)", "drag (5)"),
-    "pull-over-height": ("magnetic force (3)",),
-    "pull-over-current": ("magnetic force (3)",),
-    "drive-over-input": ("input of (1)", "target current of (1)"),
-    "sensor-over-height": ("position sensor",),
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

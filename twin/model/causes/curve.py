@@ -113,6 +113,15 @@ CURVES: tuple[Cause, ...] = (
         "x_measured = ... + l g(x)",
     ),
 )
+# What the causes act on (`Cause.acts_on`) whose free form a curve may be.
+PLACES = {
+    "force-over-height": ("net force of (6)",),
+    "force-over-speed": ("net force of (6)", "drag (5)"),
+    "pull-over-height": ("magnetic force (3)",),
+    "pull-over-current": ("magnetic force (3)",),
+    "drive-over-input": ("input of (1)", "target current of (1)"),
+    "sensor-over-height": ("position sensor",),
+}
 
 
 @inlined

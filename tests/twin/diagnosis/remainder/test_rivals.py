@@ -14,7 +14,7 @@ from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
 from tests.twin.diagnosis.remainder.test_remainder import paper_model
 from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
-from twin.diagnosis.remainder.rivals import PLACES, Rival, best_curve, rivals_of
+from twin.diagnosis.remainder.rivals import Rival, best_curve, rivals_of
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stepwise import select
 from twin.diagnosis.search.task import Search
@@ -22,7 +22,7 @@ from twin.inference.fisher_scoring import climb
 from twin.inference.noise_floor import floor_of
 from twin.inference.theta import coordinates_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
-from twin.model.causes.curve import CURVES
+from twin.model.causes.curve import CURVES, PLACES
 
 SEED = 23
 
