@@ -27,7 +27,7 @@ def test_who_may_not_send_a_command_is_told_to_be_somebody_else() -> None:
 def test_wrong_options_are_named() -> None:
     for words in ({"connect": "here"}, {"site": "A/B"}, {"identity": "no-such-folder"}):
         with pytest.raises(ConfigError):
-            Rig("rig", **words)  # type: ignore[arg-type]
+            Rig("rig", **words)  # type: ignore[arg-type]  # wrong on purpose
     with pytest.raises(UsageError):
         Rig("rig", timeout_s=0.0)
     with pytest.raises(ServiceError), Rig("rig", connect=f"tcp/127.0.0.1:{free_port()}"):

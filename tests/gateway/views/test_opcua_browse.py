@@ -17,7 +17,7 @@ from tests.harness.gateway.bus_peers import played_gateway, ticking
 from tests.harness.gateway.opcua_peers import NAMESPACE, Peer, Served, peer, until
 
 pytestmark = pytest.mark.xdist_group("opcua")
-O, S, V = ua.ObjectIds, ua.StatusCodes, ua.VariantType  # noqa: E741
+O, S, V = ua.ObjectIds, ua.StatusCodes, ua.VariantType  # noqa: E741  # short in each line
 A = ua.AttributeIds
 ATTRIBUTES = (A.NodeClass, A.BrowseName, A.DisplayName, A.Description, A.DataType, A.ValueRank, A.Value, A.AccessLevel)
 BATCH = 400

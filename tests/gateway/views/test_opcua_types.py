@@ -17,7 +17,7 @@ from gateway.views.opcua.operations import OUTPUTS, SETPOINTS
 from gateway.views.opcua.types import DI, MACHINERY, TYPES, nodeset
 from protocol.bus import board51_pb2 as pb
 
-A, O = ua.AttributeIds, ua.ObjectIds  # noqa: E741
+A, O = ua.AttributeIds, ua.ObjectIds  # noqa: E741  # short in each line
 PROTO = (Path(__file__).parents[3] / "protocol/bus/board51.proto").read_text(encoding="utf-8")
 UNITS = {  # by the end of a field's name, longest first: x_ref_slew_m_s is a speed, not a time; codes of UNECE
     "_m_s2": ("m/s\u00b2", "MSK"), "_kg": ("kg", "KGM"),

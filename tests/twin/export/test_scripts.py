@@ -35,7 +35,7 @@ READINGS = [3, 4, 2, 5]  # of the twin's flight: i, x, v, u as `tick` returns th
 
 def exported(model: Model, to: str, folder: Path) -> Exported:
     made = design(model, Specification())
-    files = export(model, controller.of_design(made, u_max_v=5.0), to)  # type: ignore[arg-type]
+    files = export(model, controller.of_design(made, u_max_v=5.0), to)  # type: ignore[arg-type]  # a known word
     folder.mkdir()
     for name, content in files.files.items():
         (folder / name).write_bytes(content)

@@ -182,7 +182,7 @@ def test_a_coil_that_stays_on_after_a_stop_raises_the_alarm() -> None:
     flight = Flight(2.85e-3, seed=3)
     plant = flight.lab.plant
     held_v, advance = flight.states[-1].u_c_v, plant.advance
-    plant.advance = lambda u_v, duration_s: advance(max(u_v, held_v), duration_s)  # type: ignore[method-assign]
+    plant.advance = lambda u_v, duration_s: advance(max(u_v, held_v), duration_s)  # type: ignore[method-assign]  # the fault
     off = flight.switch_off("stop", into_tick_us=800)
 
     raised = alarms(watched(true_model(), flight.states))

@@ -61,7 +61,7 @@ def test_it_arrives_in_the_tick_that_a_fine_integration_gives(drag: float) -> No
     def arrives(_: float, state: NDArray[np.float64]) -> float:
         return float(state[0] - BASE.travel_m)
 
-    arrives.terminal = True  # type: ignore[attr-defined]
+    arrives.terminal = True  # type: ignore[attr-defined]  # as scipy asks
     exact = solve_ivp(slopes, (0.0, 0.2), [0.0, 0.0], events=arrives, rtol=1e-9, atol=1e-12, max_step=1e-4)
 
     (arrival,) = np.array(exact.t_events)[0]

@@ -8,9 +8,9 @@ Rule 1: the likelihood of a fit has the coefficients of a curve integrated out (
 Rule 2: a name falls if a curve in its place is likelier.  Several names may imitate one unknown effect, and then each
         gains a lot beside the others.  So a curve also competes with all of them together.  Each further name costs
         what a name must gain.
-Rule 3: a curve may be the free form of a name: it is at the same place of the loop, and with it nothing could be learnt
-        about the name.  Then the name stays if it alone explains nearly all that the curve does, and no curve at
-        another place is likelier.  It is the right effect by another formula.
+Rule 3: a curve may be the free form of a name: both act on the same quantity of the loop, and with the curve nothing
+        could be learnt about the name.  The name stays if it alone explains nearly all that this curve does, and no
+        curve elsewhere is likelier by more than a class allows.  It is the right effect by another formula.
 
 The comparison is that of D. J. C. MacKay, Bayesian interpolation, Neural Computation 4(3), 1992.
 """
@@ -36,7 +36,7 @@ from twin.inference.likelihood import Criterion
 from twin.inference.theta import reinitialised
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
-from twin.model.causes.curve import CURVES, PLACES
+from twin.model.causes.curve import CURVES, FREE_FORM_OF
 from twin.settings import diagnosis as settings
 
 
@@ -138,8 +138,8 @@ def _is_free_form(criterion: Criterion, selection: Selection, name: str, rival: 
 
 
 def _is_at(curve: Cause, name: str) -> bool:
-    """Return whether a curve is at the place of the loop of this cause."""
-    return BY_NAME[name].acts_on in PLACES[curve.name]
+    """Return whether a curve acts on the same quantity of the loop as this cause."""
+    return BY_NAME[name].acts_on in FREE_FORM_OF[curve.name]
 
 
 def _absorbs(criterion: Criterion, without: Fit, curve: Cause, cause: str) -> bool:

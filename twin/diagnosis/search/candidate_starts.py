@@ -169,6 +169,7 @@ def _linear(criterion: Criterion, theta: Theta, score: Score, part: float, names
 
 
 def _grown(name: str, value: float, reach: float) -> float:
+    """Return a value of a probe at that many times its size, if it is a shape of either sign; else the value."""
     if "." not in name:
         return value
     shape = parameter_of(name)

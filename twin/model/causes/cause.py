@@ -96,7 +96,7 @@ class Cause:
     name: str
     family: Family
     title: str  # plain words, without a size
-    acts_on: str
+    acts_on: str  # quantity of the loop, in the words of `curve.FREE_FORM_OF` where a curve acts on it, too
     equation: str
     source: str
     parameters: tuple[CauseParameter, ...]

@@ -113,8 +113,8 @@ CURVES: tuple[Cause, ...] = (
         "x_measured = ... + l g(x)",
     ),
 )
-# What the causes act on (`Cause.acts_on`) whose free form a curve may be.
-PLACES = {
+# A curve may be the free form of the causes that act on one of these (`Cause.acts_on`).
+FREE_FORM_OF = {
     "force-over-height": ("net force of (6)",),
     "force-over-speed": ("net force of (6)", "drag (5)"),
     "pull-over-height": ("magnetic force (3)",),

@@ -71,7 +71,7 @@ class BodyKinds:
     @property
     def annotated(self) -> Any:
         """Return the type of them all, for the description."""
-        return Annotated[Union[tuple(self.kinds.values())], Field(discriminator=self.key)]  # noqa: UP007
+        return Annotated[Union[tuple(self.kinds.values())], Field(discriminator=self.key)]  # noqa: UP007  # a union of a tuple
 
 
 @dataclass(frozen=True, slots=True)

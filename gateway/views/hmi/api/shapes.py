@@ -33,8 +33,8 @@ class State(TypedDict):
     lost_before: Annotated[int, key("samples missing directly before this one; in a stream: since the one before")]
 
 
-_COLUMNS: Any = {name: list[hint] for name, hint in get_type_hints(State).items()}  # type: ignore[valid-type]
-States: Any = TypedDict("States", _COLUMNS)  # type: ignore[misc]
+_COLUMNS: Any = {name: list[hint] for name, hint in get_type_hints(State).items()}  # type: ignore[valid-type]  # made at run time
+States: Any = TypedDict("States", _COLUMNS)  # type: ignore[misc]  # as above
 States.__doc__ = "Samples as columns, the oldest first: one array of equal length for each field of a sample."
 
 

@@ -26,7 +26,7 @@ class MyController:
 
     def read(self) -> None:
         for event in self.decoder.feed(self.port.read(65536)):
-            (self.states if isinstance(event, State) else self.answers).append(event)  # type: ignore[arg-type]
+            (self.states if isinstance(event, State) else self.answers).append(event)  # type: ignore[arg-type]  # one of two lists
 
 
 def lift(controller: MyController, advance: object) -> None:
@@ -44,7 +44,7 @@ def lift(controller: MyController, advance: object) -> None:
 
 
 def flight(board51_emulator: EmulatorFactory, **options: object) -> list[State]:
-    emulator = board51_emulator(lockstep=True, **options)  # type: ignore[arg-type]
+    emulator = board51_emulator(lockstep=True, **options)  # type: ignore[arg-type]  # options of any type
     with serial.serial_for_url(emulator.urls[0], timeout=0) as port:
         controller = MyController(port)
         lift(controller, emulator.advance)

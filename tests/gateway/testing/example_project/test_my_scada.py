@@ -46,7 +46,7 @@ def test_my_script_hears_of_a_reset_on_a_bad_line(board51_gateway: GatewayFactor
         events = rig.messages("event", timeout_s=60.0)
         gateway.emulators[0].reset_board()
 
-        assert any(event.name.startswith("reset-") for event in events)  # type: ignore[attr-defined]
+        assert any(event.name.startswith("reset-") for event in events)  # type: ignore[attr-defined]  # of any message
 
 
 def test_my_script_survives_a_gateway_that_dies(

@@ -22,7 +22,7 @@ from twin.inference.fisher_scoring import climb
 from twin.inference.noise_floor import floor_of
 from twin.inference.theta import coordinates_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
-from twin.model.causes.curve import CURVES, PLACES
+from twin.model.causes.curve import CURVES, FREE_FORM_OF
 
 SEED = 23
 
@@ -66,9 +66,11 @@ def test_a_right_effect_by_another_formula_stays(tmp_path: Path) -> None:
     assert rivals(tmp_path, "force-exponent", plant="textbook", effects={"gap-polynomial": 0.6}) == {}
 
 
-def test_each_curve_is_at_a_place_of_the_catalogue() -> None:
-    assert set(PLACES) == {curve.name for curve in CURVES}
-    assert {place for places in PLACES.values() for place in places} <= {cause.acts_on for cause in CATALOGUE}
+def test_each_curve_acts_on_what_causes_of_the_catalogue_act_on() -> None:
+    assert set(FREE_FORM_OF) == {curve.name for curve in CURVES}
+    assert {quantity for quantities in FREE_FORM_OF.values() for quantity in quantities} <= {
+        cause.acts_on for cause in CATALOGUE
+    }
 
 
 @pytest.mark.slow

@@ -51,7 +51,7 @@ def repeated(host_time_ns: int) -> dict[str, list[int]]:
         for step in range(1, 4):
             twin.look_at_the_clock(now_s=100.0 + step * STEP_S)
         for topic in REPEATED:
-            wait_for_count(lambda t=topic: len(subscriber.payloads[f"lab/rig/{t}"]), 4, topic)  # type: ignore[misc]
+            wait_for_count(lambda t=topic: len(subscriber.payloads[f"lab/rig/{t}"]), 4, topic)  # type: ignore[misc]  # default in a lambda
     return {
         topic: [kind.FromString(data).host_time_ns for data in subscriber.payloads[f"lab/rig/{topic}"]]
         for topic, kind in REPEATED.items()
