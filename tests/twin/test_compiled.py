@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -49,7 +48,7 @@ def test_a_kernel_follows_a_change_in_a_file_that_it_calls(tmp_path: Path) -> No
     assert outer(tmp_path) == 31.0
 
 
-def test_the_hash_of_the_sources_costs_little_and_sees_names_and_contents(tmp_path: Path) -> None:
+def test_the_hash_of_the_sources_sees_names_and_contents(tmp_path: Path) -> None:
     (tmp_path / "a.py").write_text("@kernel\n")
     (tmp_path / "b.py").write_text("pass\n")
     first = sources_hash(tmp_path)
@@ -57,12 +56,3 @@ def test_the_hash_of_the_sources_costs_little_and_sees_names_and_contents(tmp_pa
     assert sources_hash(tmp_path) == first
     (tmp_path / "a.py").rename(tmp_path / "c.py")
     assert sources_hash(tmp_path) != first
-
-    package = Path(twin.compiled.__file__).parent
-    took = []
-    for _ in range(10):
-        began = time.process_time()
-        sources_hash(package)
-        took.append(time.process_time() - began)
-
-    assert min(took) < 0.02  # 5 ms on a quiet machine

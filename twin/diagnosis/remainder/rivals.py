@@ -17,18 +17,10 @@ The comparison is that of D. J. C. MacKay, Bayesian interpolation, Neural Comput
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from twin.diagnosis.remainder.curve_fits import (
-    CurveScore,
-    coefficients,
-    fully_fitted,
-    roughly_fitted,
-    scores,
-    visited,
-    with_range,
-)
+from twin.diagnosis.remainder.curve_fits import coefficients, fully_fitted, roughly_fitted, scores, visited, with_range
 from twin.diagnosis.search.score_test import screen
 from twin.diagnosis.search.state import Selection, fit_without
 from twin.inference.fisher_scoring import Fit, climb
@@ -81,27 +73,10 @@ def _rival(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -
     gain = selection.fit.loglik - without.loglik
     # A score is the gain of a parabola, which fits exceeded by a factor of up to 6.  Far behind is out.
     close = [score for score in scores(criterion, without, CURVES) if settings.RIVAL_SCORE * score.evidence > gain]
-    rivals = _likelier(criterion, selection, names, without, close[: settings.RIVALS_FITTED])
-    if not rivals:
-        return None
-    # The free form of a name may have a smaller score than a curve elsewhere: it decides, so it is fitted, too.
-    own = [score for score in close[settings.RIVALS_FITTED :] if any(_is_at(score.curve, name) for name in names)]
-    rivals += _likelier(criterion, selection, names, without, own)
-    best = max(rivals, key=lambda rival: rival.lead)
-    # Several names fall together or not at all: if one is right by another formula, the others are compared alone.
-    equal = [rival for rival in rivals if best.lead - rival.lead <= settings.EQUIVALENT_GAIN]
-    is_free_form = any(_is_free_form(criterion, selection, name, rival) for rival in equal for name in names)
-    return None if is_free_form else best
-
-
-def _likelier(
-    criterion: Criterion, selection: Selection, names: tuple[str, ...], without: Fit, curves: Sequence[CurveScore]
-) -> list[Rival]:
-    """Return those of the curves that are likelier than the names in their place."""
-    rivals = []
-    for score in curves:
+    rivals: list[Rival] = []
+    for score in close[: settings.RIVALS_FITTED]:
         # Of those fits none was more than a tenth short of its maximum.
-        goal = without.loglik + settings.FREE_FORM_SHARE * (selection.fit.loglik - without.loglik)
+        goal = without.loglik + settings.FREE_FORM_SHARE * gain
         fit = roughly_fitted(criterion, without, score, goal=goal)
         if fit.loglik < goal:
             continue
@@ -110,7 +85,13 @@ def _likelier(
         if lead > 0.0:
             is_sole = len(names) == len(selection.causes)
             rivals.append(Rival(curve=score.curve, names=names, lead=lead, fit=fit, is_sole=is_sole))
-    return rivals
+    if not rivals:
+        return None
+    best = max(rivals, key=lambda rival: rival.lead)
+    # Several names fall together or not at all: if one is right by another formula, the others are compared alone.
+    equal = [rival for rival in rivals if best.lead - rival.lead <= settings.EQUIVALENT_GAIN]
+    is_free_form = any(_is_free_form(criterion, selection, name, rival) for rival in equal for name in names)
+    return None if is_free_form else best
 
 
 def _fit_without(criterion: Criterion, selection: Selection, names: tuple[str, ...]) -> Fit:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
-from tests.harness.diagnose.known_diagnosis import QUIET, fit_of, steps
+from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, rig_of, strong
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnosis.judge.prediction_gain import predictions
 from twin.diagnosis.lines import with_sizes
 from twin.diagnosis.search.forward_step import forward
-from twin.diagnosis.search.sensor_line import find_line, line_scores
+from twin.diagnosis.search.sensor_line import find_line
 from twin.diagnosis.search.task import Search
 from twin.estimation.prediction_floor import floor_rmse
 from twin.evidence.gather import gather
@@ -98,14 +97,3 @@ def test_no_line_is_found_in_a_hundred_flights_without_one() -> None:
             _, white = criterion.white(QUIET)
             series = criterion.evidence.series
             assert [find_line(series, white, column, TICK_S) for column in (0, 1)] == [None, None], seed
-
-
-def test_the_search_for_lines_costs_half_a_second_of_a_campaign_of_90_s() -> None:
-    with campaign(QUIET, seconds=43.5) as criterion:
-        line_scores(criterion, fit_of(QUIET, 0.0), LINES)  # compiled
-        began = time.process_time()
-        scores = line_scores(criterion, fit_of(QUIET, 0.0), LINES)
-        took_s = time.process_time() - began
-
-    assert scores == []
-    assert took_s < 0.5
