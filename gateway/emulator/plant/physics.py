@@ -23,6 +23,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -93,10 +94,10 @@ class Constants(NamedTuple):
 def _compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Return `function` compiled by numba and cached; without numba, unchanged: same results, much slower."""
     try:
-        import numba
+        numba = _numba()
     except ImportError:
         return function
-    config: Any = numba.config
+    config = numba.config
     default_folder, config.CACHE_DIR = config.CACHE_DIR, _cache_folder()  # read while it decorates
     try:
         return cast("Callable[P, R]", numba.njit(cache=True)(function))
@@ -104,6 +105,25 @@ def _compiled(function: Callable[P, R]) -> Callable[P, R]:
         return cast("Callable[P, R]", numba.njit(function))
     finally:
         config.CACHE_DIR = default_folder
+
+
+@cache
+def _numba() -> Any:
+    """Import numba without the linear algebra of scipy, which no function here calls: it would take 16 MB of each rig.
+
+    Raises:
+        ImportError: numba is not installed.
+    """
+    name = "scipy.linalg.cython_blas"
+    is_there = name in sys.modules
+    if not is_there:
+        sys.modules[name] = cast(Any, None)  # an import of it now fails, and numba goes on without it
+    try:
+        import numba.np.arraymath
+    finally:
+        if not is_there:
+            del sys.modules[name]
+    return numba
 
 
 @cache

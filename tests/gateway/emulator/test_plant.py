@@ -309,6 +309,18 @@ def test_without_a_compiler_the_same_numbers_come_out() -> None:
     assert plant.x_m > 0.0
 
 
+def test_a_rig_loads_nothing_of_scipy_s_linear_algebra_and_leaves_it_to_others() -> None:
+    program = (
+        "import sys\n"
+        "from gateway.emulator.plant.levitation import EmulatedPlant\n"
+        "EmulatedPlant().advance(5.0, 0.03)\n"
+        "assert 'numba' in sys.modules and 'scipy.linalg' not in sys.modules\n"
+        "import numba, numpy\n"
+        "assert numba.njit(lambda a: a @ a)(numpy.eye(2))[0, 0] == 1.0\n"
+    )
+    subprocess.run([sys.executable, "-c", program], cwd=REPOSITORY, timeout=HANG_S, check=True)
+
+
 def test_a_rig_of_other_numbers_is_a_plant_too() -> None:
     heavy: PlantConstants = replace(QUIET, mass_kg=0.02, current_max_a=3.0, input_max_v=10.0)
     plant = EmulatedPlant(heavy)
