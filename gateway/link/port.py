@@ -87,10 +87,13 @@ class Port:
 
     def close(self) -> None:
         """Close the port; never raises."""
+        own = vars(self._device).get("_socket")
         with contextlib.suppress(OSError, TtyError, serial.SerialException):
             if self._end is not None:
                 self._end.close()
             self._device.close()
+        if own is not None:
+            own.close()  # pyserial does not where the peer has gone first: its shutdown then fails
         # A read that has not ended holds the port: whoever opens it next would find it in use.
         for pump in self._pumps:
             pump.join(_PUMP_ENDS_S)

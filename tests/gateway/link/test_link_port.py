@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import os
 import select
+import socket
+import struct
 import time
 import tty
 from collections.abc import Iterator
@@ -126,6 +128,20 @@ def test_the_end_of_a_pty_is_the_end_of_the_port() -> None:
     assert port.read() == b""
     assert port.write(b"x") is None
     port.close()
+
+
+def test_a_line_over_tcp_that_its_peer_has_reset_leaves_no_open_socket() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = open_port(f"socket://127.0.0.1:{server.getsockname()[1]}", 115200)
+        assert isinstance(port, Port)
+        peer, _ = server.accept()
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # its close is a reset
+        peer.close()
+        own = vars(port._device)["_socket"]
+        select.select([own], [], [], HANG_S)
+        port.close()
+
+    assert own.fileno() == -1
 
 
 def test_a_handler_without_a_descriptor_is_pumped() -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
+import threading
 from contextlib import AbstractContextManager
+from typing import Any
 
 import pytest
 import zenoh
@@ -15,6 +17,7 @@ from tests.harness.ports import free_endpoint
 from tests.harness.repeated import repeated
 from tests.harness.twin.rig import Rig
 from tests.harness.twin.twin_bus import Subscriber, introduce, publish, router, wait, wait_for_count
+from tests.patience import HANG_S
 from twin.mirror.bus import service as service_module
 from twin.mirror.bus.service import TwinService
 from twin.mirror.mirror import Mirror
@@ -98,6 +101,28 @@ def test_malformed_messages_are_counted_and_change_nothing(endpoint: str) -> Non
             wait_for_count(lambda: len(subscriber.payloads["lab/rig/twin/divergence"]), 10, "divergence")
             assert service.malformed == 2
             assert service.running
+
+
+def test_an_end_that_does_not_wait_for_all_that_is_queued_is_no_failure(endpoint: str) -> None:
+    rig, begun, closed = Rig(seed=2), threading.Event(), threading.Event()
+
+    def prepare(_model: Model) -> Any:
+        begun.set()
+        assert closed.wait(HANG_S)
+
+    def board_is_seen() -> bool:
+        session.put("lab/rig/parameters", rig.parameters().SerializeToString())
+        return begun.is_set()
+
+    with router(endpoint) as session:
+        service = TwinService(Model.load("ce152"), site="lab", endpoints=(endpoint,), namers=prepare)
+        service.start()
+        wait(board_is_seen, "board at the twin")
+        service.stop()
+        closed.set()
+        wait(lambda: not service.running, "end of the worker")
+
+    assert service.failure is None
 
 
 def test_it_waits_for_a_router_and_survives_its_restart(endpoint: str) -> None:
