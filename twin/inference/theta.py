@@ -1,7 +1,7 @@
 """The parameters of the extended model, and the coordinates in which a search moves them.
 
 Rule 1: a coordinate moves in units in which 1 is a moderate change.  These are logarithms, b / m in 1/s, 10 um for
-        stops, and the first probe of each cause.
+        stops, and the first probe of each cause.  What may lie anywhere within decades moves by its logarithm, too.
 Rule 2: bounds are physical: a cause stays within its range, and b is not negative unless `min_b` allows it.
 """
 
@@ -176,7 +176,9 @@ def prior_spread(name: str) -> float:
 def unit_of(parameter: CauseParameter) -> float:
     """The change of a cause's coordinate that counts as 1."""
     scale = abs(parameter.coordinate(parameter.probes[0]))
-    return scale if scale > 0.0 else 0.3 * abs(parameter.neutral)
+    if scale > 0.0:
+        return scale
+    return 0.3 if parameter.logarithmic else 0.3 * abs(parameter.neutral)
 
 
 def moved(theta: Theta, name: str, step: float, plant: Plant) -> Theta:
@@ -248,5 +250,6 @@ def max_step(name: str) -> float:
     if name in STOPS:
         return 10.0
     if "." in name:
-        return 5.0
+        spread = prior_spread(name)
+        return max(5.0, 2.0 * spread) if math.isfinite(spread) else 5.0  # twenty for a coefficient of a curve
     return 1.5 if name in NOISES or name == "T_A" else 0.5

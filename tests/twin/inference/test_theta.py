@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
 
-from tests.harness.diagnose.simulated_rig import PLANT, THETA, strong
+from tests.harness.diagnose.simulated_rig import PLANT, THETA, criterion_of, fitted, narrow, strong
 from twin.inference.theta import Theta, moved
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.extended import position_reading
+
+DECADES = [
+    f"{cause.name}.{parameter.name}"
+    for cause in BY_NAME.values()
+    for parameter in cause.parameters
+    if parameter.logarithmic
+]
 
 SENSING = {
     "position-sensor-gain": 0.95,
@@ -49,3 +57,33 @@ def test_a_coordinate_at_its_bound_moves_nothing(cause: str) -> None:
     moves = [moved(theta, f"{cause}.{strength.name}", step, PLANT) == theta for step in (1.0, -1.0)]
 
     assert sorted(moves) == [False, True]
+
+
+@pytest.mark.parametrize("name", DECADES)
+def test_what_may_lie_anywhere_within_decades_moves_by_a_factor_and_ends_at_its_bounds(name: str) -> None:
+    cause, _, parameter = name.partition(".")
+    known = next(entry for entry in BY_NAME[cause].parameters if entry.name == parameter)
+    theta = THETA.having(name, math.sqrt(known.low * known.high))
+
+    factors = {moved(theta.having(name, v), name, 1.0, PLANT).value(name) / v for v in (2 * known.low, known.high / 2)}
+
+    assert max(factors) == pytest.approx(min(factors))
+    assert [moved(theta, name, step, PLANT).value(name) for step in (-99.0, 9999.0)] == [known.low, known.high]
+    for bound, step in ((known.low, -1.0), (known.high, 1.0)):
+        assert moved(theta.having(name, bound), name, step, PLANT).value(name) == bound
+
+
+@pytest.mark.slow
+def test_a_time_constant_a_hundred_times_the_usual_one_is_reached() -> None:
+    share, tau_s = 0.1, 0.6
+    creeping = strong("second-time-constant", share).having("second-time-constant.tau_s", tau_s)
+    criterion = criterion_of(narrow(creeping, seconds=10.0))
+    try:
+        fit = fitted(criterion, strong("second-time-constant", 0.3 * share), "second-time-constant")
+        truth = criterion.value(creeping)
+    finally:
+        criterion.close()
+
+    assert fit.converged
+    assert fit.loglik > truth
+    assert fit.theta.value("second-time-constant.tau_s") == pytest.approx(tau_s, rel=0.05)

@@ -25,7 +25,15 @@ CAUSE = Cause(
     parameters=(
         CauseParameter(name="loss_1_a2", symbol="loss", unit="1/A^2", index=LOSS, low=-0.05, high=0.3, probes=(0.02,)),
         CauseParameter(
-            name="tau_s", symbol="tau", unit="s", index=TAU, neutral=30.0, low=0.5, high=3600.0, probes=(30.0,)
+            name="tau_s",
+            symbol="tau",
+            unit="s",
+            index=TAU,
+            neutral=30.0,
+            low=0.5,
+            high=3600.0,
+            probes=(30.0,),
+            logarithmic=True,
         ),
         CauseParameter(
             name="power", symbol="n", index=POWER, neutral=2.0, low=0.5, high=3.0, probes=(1.7,), spread=0.5

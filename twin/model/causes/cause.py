@@ -49,18 +49,23 @@ class CauseParameter:
     probes: tuple[float, ...]  # where the screen looks: small, no rounding error; larger where the signature bends
     # Of a shape, which the data often leave open: the standard deviation of its prior about neutral; inf: none.
     spread: float = math.inf
+    logarithmic: bool = False  # its coordinate is its logarithm, as it may lie anywhere within decades
     walks: bool = False  # the strength is a random walk, and this its standard deviation after a minute
     random: bool = False  # a standard deviation, of which a simulation has nothing
 
     def coordinate(self, value: float) -> float:
         """The number that the estimator moves."""
-        return 1.0 / value if math.isinf(self.neutral) else value - self.neutral
+        if math.isinf(self.neutral):
+            return 1.0 / value
+        return math.log(value / self.neutral) if self.logarithmic else value - self.neutral
 
     def value(self, coordinate: float) -> float:
         """The parameter of a coordinate, within its physical range."""
         if math.isinf(self.neutral):
             return math.inf if coordinate <= 0.0 else min(max(1.0 / coordinate, self.low), self.high)
-        return min(max(self.neutral + coordinate, self.low), self.high)
+        # A hundred is beyond each range, where the exponential does not overflow yet.
+        value = self.neutral * math.exp(min(coordinate, 100.0)) if self.logarithmic else self.neutral + coordinate
+        return min(max(value, self.low), self.high)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -33,7 +33,7 @@ CAUSE = Cause(
         ),
         CauseParameter(name="slow", symbol="s", index=SLOW, low=0.0, high=0.9, probes=(0.2,), spread=0.3),
         CauseParameter(
-            name="times", symbol="n", index=TIMES, neutral=10.0, low=2.0, high=200.0, probes=(10.0,), spread=20.0
+            name="times", symbol="n", index=TIMES, neutral=10.0, low=2.0, high=50.0, probes=(10.0,), spread=20.0
         ),
     ),
     signature="the acceleration lags the measured current, the more the faster the current changes",

@@ -28,7 +28,15 @@ CAUSE = Cause(
     parameters=(
         CauseParameter(name="share", symbol="a", index=SHARE, low=-0.5, high=0.9, probes=(0.05,)),
         CauseParameter(
-            name="tau_s", symbol="tau", unit="s", index=TAU, neutral=5e-3, low=2e-4, high=5.0, probes=(5e-3,)
+            name="tau_s",
+            symbol="tau",
+            unit="s",
+            index=TAU,
+            neutral=5e-3,
+            low=2e-4,
+            high=5.0,
+            probes=(5e-3,),
+            logarithmic=True,
         ),
     ),
     signature="after a step of u_c most of i_c comes with T_A, and the rest with another time",
