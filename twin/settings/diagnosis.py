@@ -288,8 +288,7 @@ CURVES_FITTED = 3
 MAX_CURVES = 2
 # Reasoned.  Share of the samples that may lie beyond either end of the range of a curve.
 CURVE_OUTER = 0.001
-# Effort.  Part of the linear step with which its fit begins; causes of its form that are fitted in its place.
-CURVE_START = 0.5
+# Effort.  Causes of its form that are fitted in its place.
 MAX_SUBSTITUTES = 2
 # Effort.  Passes of such a fit, at most, and the step in standard errors at which it ends: its error tells it from
 # others long before its maximum is known.

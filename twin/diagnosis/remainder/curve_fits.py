@@ -28,7 +28,8 @@ class CurveScore:
 
     curve: Cause
     evidence: float  # gain of log-likelihood with the coefficients integrated out, by Laplace's method
-    start: Theta  # a part of the linear step
+    zero: Theta  # with the curve, which is 0
+    step: tuple[float, ...]  # of its coefficients, were the likelihood a parabola
 
 
 def coefficients(curve: Cause) -> tuple[str, ...]:
@@ -97,13 +98,10 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
         widths = np.array([prior_spread(name) for name in coefficients(curve)])
         # The coefficients are integrated out: by the maximum alone a curve would always gain, as it has eight numbers.
         _, logarithm = np.linalg.slogdet(left * np.outer(widths, widths))
-        start = with_range(at.theta, curve, values)
-        for name, change in zip(coefficients(curve), (settings.CURVE_START * step).tolist(), strict=True):
-            start = moved(start, name, change, criterion.plant)
         # Laplace's method (R. E. Kass, A. E. Raftery, Journal of the American Statistical Association 90, 1995).
-        results.append(
-            CurveScore(curve=curve, evidence=0.5 * float(slope @ step) - 0.5 * float(logarithm), start=start)
-        )
+        evidence = 0.5 * float(slope @ step) - 0.5 * float(logarithm)
+        zero = with_range(at.theta, curve, values)
+        results.append(CurveScore(curve=curve, evidence=evidence, zero=zero, step=tuple(step.tolist())))
     return sorted(results, key=lambda curve_: -curve_.evidence)
 
 
@@ -112,8 +110,18 @@ def roughly_fitted(criterion: Criterion, at: Fit, score: CurveScore, *, goal: fl
 
     The fit ends even earlier where it will not come near the log-likelihood `goal`.
     """
-    fit = approach(criterion, score.start, (*at.free, *coefficients(score.curve)))
+    # The step of a very wrong model may lead to where nothing flies, and from there no fit returns.
+    starts = [_with_part(criterion, score, part) for part in settings.START_PARTS]
+    start = starts[int(np.argmax(criterion.thinner.values(starts)))]
+    fit = approach(criterion, start, (*at.free, *coefficients(score.curve)))
     return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, approximate=True, goal=goal)
+
+
+def _with_part(criterion: Criterion, score: CurveScore, part: float) -> Theta:
+    theta = score.zero
+    for name, change in zip(coefficients(score.curve), score.step, strict=True):
+        theta = moved(theta, name, part * change, criterion.plant)
+    return theta
 
 
 def fully_fitted(criterion: Criterion, fit: Fit) -> Fit:

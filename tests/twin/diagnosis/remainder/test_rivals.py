@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
 from tests.twin.diagnosis.remainder.test_remainder import paper_model
 from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
+from twin.diagnosis.remainder.curve_fits import roughly_fitted, scores
 from twin.diagnosis.remainder.rivals import Rival, best_curve, rivals_of
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.stepwise import select
@@ -88,6 +90,17 @@ def test_a_law_of_the_magnet_s_force_for_a_spring_falls(tmp_path: Path) -> None:
     results = rivals(tmp_path, "force-exponent", plant="independent", outside={"wire-spring": 1.18e6}, seed=12923)
 
     assert results["force-exponent"].curve.name == "force-over-height"
+
+
+@pytest.mark.slow
+def test_a_fit_of_a_curve_begins_where_the_linear_step_has_not_gone_astray(tmp_path: Path) -> None:
+    with paper_model(tmp_path, {"spring-of-a-cable": 4.0}, seed=SEED, plant="independent") as (criterion, base):
+        curves = scores(criterion, base, CURVES)
+        (usual,) = (score for score in curves if score.curve.name == "sensor-over-height")
+        astray = replace(usual, step=tuple(10.0 * change for change in usual.step))
+        gains = [roughly_fitted(criterion, base, score).loglik - base.loglik for score in (usual, astray)]
+
+    assert min(gains) > 1000.0
 
 
 @contextmanager
