@@ -250,6 +250,5 @@ def max_step(name: str) -> float:
     if name in STOPS:
         return 10.0
     if "." in name:
-        spread = prior_spread(name)
-        return max(5.0, 2.0 * spread) if math.isfinite(spread) else 5.0  # twenty for a coefficient of a curve
+        return 5.0
     return 1.5 if name in NOISES or name == "T_A" else 0.5
