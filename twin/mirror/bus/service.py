@@ -196,7 +196,8 @@ class TwinService:
                         return
         except Exception as error:  # a worker that dies silently would leave a service that looks alive
             if self._stopping.is_set() and isinstance(error, zenoh.ZError):
-                return  # on a busy machine `stop` has closed the session before the queue was answered
+                self.dropped += 1 + self._queue.qsize()  # `stop` has closed the session before all was answered
+                return
             self.failure = error
             log.exception("twin stopped")
 

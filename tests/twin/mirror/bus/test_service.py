@@ -123,6 +123,7 @@ def test_an_end_that_does_not_wait_for_all_that_is_queued_is_no_failure(endpoint
         wait(lambda: not service.running, "end of the worker")
 
     assert service.failure is None
+    assert service.dropped >= 1
 
 
 def test_it_waits_for_a_router_and_survives_its_restart(endpoint: str) -> None:
