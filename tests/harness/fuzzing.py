@@ -7,6 +7,7 @@ its traceback; fuzzing goes on.  Exits with 1 if there was one.  `fuzz_targets.p
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import re
 import sys
@@ -34,10 +35,13 @@ class Findings:
     Args:
         run: The parser; raises nothing on any input.
         report: Called with a kind that is new, the input, and what happened.
+        slow_s: Processor time from which an input is slow, s; without one, no input is.
     """
 
-    def __init__(self, run: Callable[[bytes], None], report: Callable[[str, bytes, str], None]) -> None:
-        self._run, self._report = run, report
+    def __init__(
+        self, run: Callable[[bytes], None], report: Callable[[str, bytes, str], None], *, slow_s: float = math.inf
+    ) -> None:
+        self._run, self._report, self._slow_s = run, report, slow_s
         self.kinds: set[str] = set()
         self.executions = 0
 
@@ -50,7 +54,7 @@ class Findings:
         except Exception as error:
             self._add(kind_of(error), data, traceback.format_exc())
         took_s, took_mb = time.process_time() - began_s, _peak_mb() - before_mb
-        if took_s > SLOW_S:
+        if took_s > self._slow_s:
             self._add("slow", data, f"{took_s:.1f} s")
         if took_mb > LARGEST_MB:
             self._add("large", data, f"{took_mb:.0f} MB")
@@ -101,7 +105,7 @@ def _fuzz(name: str, target: Target, *, minutes: float, seed: int, out: Path, sc
         file.with_suffix(".txt").write_text(f"{kind}\n{what}\n")
         print(f"{name}: FINDING {kind}", flush=True)
 
-    findings = Findings(lambda data: target.run(scratch, data), report)
+    findings = Findings(lambda data: target.run(scratch, data), report, slow_s=SLOW_S)
 
     def change(data: bytes, largest: int, chosen: int) -> bytes:
         chance = Random(chosen)
