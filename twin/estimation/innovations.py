@@ -125,8 +125,8 @@ def information(
         fisher: the information is added to this matrix, shape (n_parameters, n_parameters).
     """
     count = moved.shape[0]
-    row = np.empty((count, 5))  # dnu_1, dnu_2, dS_11, sqrt(2) dS_12, dS_22, the last three over sqrt(2)
-    half = math.sqrt(0.5)
+    rows = np.empty((5, count))  # dnu_1, dnu_2, dS_11, sqrt(2) dS_12, dS_22, the last three over sqrt(2)
+    added, half = np.zeros((count, count)), math.sqrt(0.5)
     for n in range(base.shape[0]):
         has_i, has_x = base[n, 2] == base[n, 2], base[n, 4] == base[n, 4]
         if not (has_i or has_x):
@@ -137,29 +137,31 @@ def information(
         l_11 = math.sqrt(base[n, 2]) if has_i else 1.0
         l_21 = base[n, 3] / l_11 if has_i and has_x else 0.0
         l_22 = math.sqrt(base[n, 4] - l_21 * l_21) if has_x else 1.0
-        w_1 = base[n, 0] / l_11 if has_i else 0.0
-        w_2 = (base[n, 1] - l_21 * w_1) / l_22 if has_x else 0.0
+        k_11, k_22 = 1.0 / l_11, 1.0 / l_22
+        w_1 = base[n, 0] * k_11 if has_i else 0.0
+        w_2 = (base[n, 1] - l_21 * w_1) * k_22 if has_x else 0.0
         for a in range(count):
-            d_1 = moved[a, n, 0] / l_11 if has_i else 0.0
-            d_2 = (moved[a, n, 1] - l_21 * d_1) / l_22 if has_x else 0.0
-            e_11 = moved[a, n, 2] / (l_11 * l_11) if has_i else 0.0
-            e_12 = (moved[a, n, 3] / l_11 - l_21 * e_11) / l_22 if has_i and has_x else 0.0
-            e_22 = 0.0
-            if has_x:
-                cross = moved[a, n, 3] / l_11 if has_i else 0.0
-                e_22 = (moved[a, n, 4] - 2.0 * l_21 * cross + l_21 * l_21 * e_11) / (l_22 * l_22)
-            row[a, 0], row[a, 1] = d_1, d_2
-            row[a, 2], row[a, 3], row[a, 4] = half * e_11, e_12, half * e_22
+            d_1 = moved[a, n, 0] * k_11 if has_i else 0.0
+            d_2 = (moved[a, n, 1] - l_21 * d_1) * k_22 if has_x else 0.0
+            e_11 = moved[a, n, 2] * k_11 * k_11 if has_i else 0.0
+            cross = moved[a, n, 3] * k_11 if has_i and has_x else 0.0
+            e_12 = (cross - l_21 * e_11) * k_22 if has_x else 0.0
+            e_22 = (moved[a, n, 4] - l_21 * (2.0 * cross - l_21 * e_11)) * k_22 * k_22 if has_x else 0.0
+            rows[0, a], rows[1, a], rows[2, a], rows[3, a], rows[4, a] = d_1, d_2, half * e_11, e_12, half * e_22
             scores[n, a] = (
                 0.5 * (w_1 * e_11 * w_1 + 2.0 * w_1 * e_12 * w_2 + w_2 * e_22 * w_2 - e_11 - e_22)
                 - w_1 * d_1
                 - w_2 * d_2
             )
+        # The innermost loop runs along rows, so the compiler takes several of its steps at once.
         for a in range(count):
+            r_0, r_1, r_2, r_3, r_4 = rows[0, a], rows[1, a], rows[2, a], rows[3, a], rows[4, a]
             for b in range(a + 1):
-                total = 0.0
-                for column in range(5):
-                    total += row[a, column] * row[b, column]
-                fisher[a, b] += total
-                if b != a:
-                    fisher[b, a] += total
+                added[a, b] += (
+                    r_0 * rows[0, b] + r_1 * rows[1, b] + r_2 * rows[2, b] + r_3 * rows[3, b] + r_4 * rows[4, b]
+                )
+    for a in range(count):
+        for b in range(a + 1):
+            fisher[a, b] += added[a, b]
+            if b != a:
+                fisher[b, a] += added[a, b]

@@ -26,6 +26,7 @@ class Reuse(Enum):
 
     NONE = auto()
     SLOPES = auto()  # the Jacobians
+    GAINS = auto()  # the Kalman gains, for a model with the same readings and noise; its covariance is the same, too
     STEPS = auto()  # the steps themselves, for a model that differs only in its noise
 
 
@@ -54,7 +55,7 @@ class Pace:
         # The current of a held ball alone needs no substeps.
         lags = any(state in (FIELD, SECOND, CORE, I_SENSOR) for state in states)
         held = 2.0 if lags else 0.0 if has_first_order_current(c) else 0.25
-        held *= {Reuse.NONE: 1.0, Reuse.SLOPES: 0.5, Reuse.STEPS: 0.0}[reuse]
+        held *= {Reuse.NONE: 1.0, Reuse.STEPS: 0.0}.get(reuse, 0.5)
         pieces = 2 if delay_s(c) > 0.0 else 1
         substepped = 0 if short(base, c, self.step_s) else 1
         return self.samples + pieces * (advances * self.flown[substepped] + held * self.held[substepped])

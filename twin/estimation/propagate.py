@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, inlined, kernel
 from twin.model.causes import actuation_delay, sampling_delay
-from twin.model.extended import Base, held_current, is_slow, reading_of_current
+from twin.model.extended import Base, feels_ball, held_current, reading_of_current
 from twin.model.flight import fly
 from twin.model.integration import FREE, over
 
@@ -88,7 +88,7 @@ def propagate(
         T_s: the interval, s.
         stops: as in `advance`.
     """
-    if not stops and not is_slow(c):
+    if not stops and not feels_ball(c):
         fly(base, c, y, u.before, u.change_s, u.after, t, T_s)
         return
     if u.change_s > 0.0:

@@ -83,11 +83,12 @@ class Samples(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """The linearised steps of a run in flight, for runs of nearby models; m active states."""
+    """The linearised steps and the gains of a run, for runs of nearby models; m active states."""
 
     slopes: NDArray[np.float64]  # Jacobian d state / d previous state, shape (n, m, m)
     before: NDArray[np.float64]  # active states before the correction, shape (n, m)
     after: NDArray[np.float64]  # active states after the correction, shape (n, m)
+    gains: NDArray[np.float64]  # Kalman gains of the readings of i_c and x, shape (n, 2, m)
 
     def part(self, piece: slice) -> Steps:
         """Return the part that belongs to some samples, as views."""
@@ -96,7 +97,12 @@ class Steps(NamedTuple):
     @property
     def jacobians(self) -> Steps:
         """The Jacobians without the states: a run reuses them but computes its own steps."""
-        return Steps(self.slopes, _NO_STATE, _NO_STATE)
+        return NO_STEPS._replace(slopes=self.slopes)
+
+    @property
+    def corrections(self) -> Steps:
+        """The gains alone: a run that reuses them computes its own steps and no covariance."""
+        return NO_STEPS._replace(gains=self.gains)
 
 
 class Results(NamedTuple):
@@ -113,7 +119,7 @@ class Results(NamedTuple):
 
 
 _NO_STATE, _NO_MATRIX = np.empty((0, STATES)), np.empty((0, 3, 3))
-NO_STEPS = Steps(_NO_MATRIX, _NO_STATE, _NO_STATE)
+NO_STEPS = Steps(_NO_MATRIX, _NO_STATE, _NO_STATE, _NO_MATRIX)
 
 
 def room_for(n: int, m: int, *, state: bool = False, spread: bool = False, steps: bool = False) -> Results:
@@ -122,5 +128,5 @@ def room_for(n: int, m: int, *, state: bool = False, spread: bool = False, steps
         innovations=np.empty((n, OUT_COLUMNS)),
         state=np.empty((n, STATES)) if state else _NO_STATE,
         spread=np.empty((n, m, m)) if spread else _NO_MATRIX,
-        steps=Steps(np.zeros((n, m, m)), np.zeros((n, m)), np.zeros((n, m))) if steps else NO_STEPS,
+        steps=Steps(*(np.zeros((n, *shape)) for shape in ((m, m), (m,), (m,), (2, m)))) if steps else NO_STEPS,
     )

@@ -31,8 +31,8 @@ from twin.evidence.gather import Evidence
 from twin.evidence.thinned import thinned
 from twin.inference.budget import Budget, Spent
 from twin.inference.outside import Outside
-from twin.inference.theta import COLOURS, NOISES, STOPS, Theta, derivative_step, moved
-from twin.model.causes.catalogue import with_trait
+from twin.inference.theta import COLOURS, NOISES, STOPS, Theta, derivative_step, moved, parameter_of
+from twin.model.causes.catalogue import BY_NAME, with_trait
 from twin.settings import diagnosis as settings
 
 T = TypeVar("T")
@@ -202,7 +202,13 @@ class Criterion:
             for theta, mode in zip(thetas, reuse, strict=True)
         ]
         self.pay(*thetas, reuse=reuse)
-        steps = {Reuse.NONE: NO_STEPS, Reuse.SLOPES: at.steps.jacobians, Reuse.STEPS: at.steps}
+        kept = at.steps
+        steps = {
+            Reuse.NONE: NO_STEPS,
+            Reuse.SLOPES: kept.jacobians,
+            Reuse.GAINS: kept.corrections,
+            Reuse.STEPS: kept._replace(gains=NO_STEPS.gains),
+        }
         change = np.empty((len(thetas), *at.innovations.shape))
 
         def fill_in(index: int) -> None:
@@ -210,6 +216,8 @@ class Criterion:
             self._fill_all(thetas[index], change[index], steps[reuse[index]])
             change[index] -= at.innovations
             change[index] /= scales[index]
+            if reuse[index] is Reuse.GAINS:
+                change[index, :, 2:] = 0.0  # the covariance is the same
 
         list(self._pool.map(fill_in, range(len(thetas))))
         return change
@@ -254,8 +262,9 @@ class Criterion:
             theta: the model.
             names: of the coordinates.
             at: a run of `theta`: models that differ in their noise reuse its steps.
-            rough: reuse the slopes of the steps for all other models, for half the work or less.  If the innovations
-                are about as large as the filter expects, this gives the direction of a step, but not the maximum.
+            rough: reuse gains or slopes of the steps for all other models, for half the work or less.  If the
+                innovations are about as large as the filter expects, this gives the direction of a step, but not the
+                maximum.
         """
         # Differences of the filter, not analytic sensitivities. These would be a second set of equations, and each new
         # cause would extend it. The differences include the effect on the Kalman gains.
@@ -293,8 +302,17 @@ def _reusable(theta: Theta, names: Sequence[str], rough: bool) -> list[Reuse]:
     # A stop is where a ball at rest is, and an inductance depends on that.
     steady = () if present & with_trait("of-the-gap") else STOPS
     # Otherwise noise levels and stops do not change the motion between two readings: its steps are reused.
-    reuse = [Reuse.STEPS if name in NOISES + COLOURS + steady else Reuse.SLOPES for name in names]
+    reuse = [Reuse.STEPS if name in NOISES + COLOURS + steady else nearby_reuse(name) for name in names]
     return [mode if rough or name in smooth + steady else Reuse.NONE for name, mode in zip(names, reuse, strict=True)]
+
+
+def nearby_reuse(name: str) -> Reuse:
+    """Return what a model that differs by this coordinate reuses of a run where a rough derivative suffices."""
+    cause, _, parameter = name.partition(".")
+    if not parameter:
+        return Reuse.GAINS
+    # The gains depend on how a sensor shows the state, and on what varies from tick to tick.
+    return Reuse.SLOPES if BY_NAME[cause].family == "sensing" or parameter_of(name).random else Reuse.GAINS
 
 
 def mean_square(out: FloatArray) -> float:

@@ -107,6 +107,22 @@ def square_of_current(c: Vector, field: float, bent: bool = True) -> float:
 
 
 @inlined
+def field_after(
+    c: Vector, f: float, core: float, z: float, i: float, i_next: float, w: float, w_next: float, h: float
+) -> tuple[float, float, float, float]:
+    """Return (field current f, that of the core, place on the loop, field that the ball feels) after h s.
+
+    The current goes from i to i_next, A, and its weight (`eddy_current_lag.weight`) from w to w_next.
+    """
+    before = eddy_current_lag.mixed(c, f, core)
+    f = eddy_current_lag.lagged(c, f, i, i_next, w, w_next, h)
+    core = eddy_current_lag.slow(c, core, i, i_next, h)
+    mixed = eddy_current_lag.mixed(c, f, core)
+    z = magnetic_hysteresis.turned(c, z, before, mixed)
+    return f, core, z, magnetic_hysteresis.field(c, mixed, z)
+
+
+@inlined
 def pull_per_square(p: Base, c: Vector, x: float, bent: bool = True) -> float:
     """Return F_m over mass and `square_of_current`, m/(s^2 A^2), which depends on the position alone."""
     # (3) is singular at the coil: nearer than that the gap is held, or one substep could give any speed.
@@ -288,6 +304,14 @@ def is_slow(c: Vector) -> bool:
     force = c[eddy_current_lag.TAU] > 0.0 or c[magnetic_hysteresis.HALF_WIDTH] > 0.0
     sensors = c[position_sensor_lag.TAU] > 0.0 or c[current_sensor_lag.TAU] > 0.0
     return current or force or sensors or c[coulomb_friction.FORCE] != 0.0
+
+
+@inlined
+def feels_ball(c: Vector) -> bool:
+    """Return whether the motion of the ball changes current or field, or a cause needs the ball at each substep."""
+    current = c[position_dependent_inductance.GROWTH] != 0.0 or c[motional_emf.COUPLING] != 0.0
+    field = c[eddy_current_lag.TAU] > 0.0 and c[eddy_current_lag.FLUX] != 0.0
+    return current or field or c[position_sensor_lag.TAU] > 0.0 or c[coulomb_friction.FORCE] != 0.0
 
 
 @inlined

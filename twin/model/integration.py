@@ -48,6 +48,7 @@ from twin.model.extended import (
     acceleration,
     drive,
     driven,
+    field_after,
     is_bent,
     is_slow,
     position_reading,
@@ -145,15 +146,11 @@ def _substeps(
             elif part > 1:
                 half_decay *= first_decay if part == 2 else half_decay
             i_half = target + (i - target) * half_decay
-        f_half, w_half, mixed_half, felt_half = i_half, 1.0, i_half, i_half
+        f_half, w_half, felt_half = i_half, 1.0, i_half
         if slow:
             w = eddy_current_lag.weight(c, plane - x, gap_mid)
             w_half = eddy_current_lag.weight(c, plane - x - 0.5 * h * v, gap_mid)
-            f_half = eddy_current_lag.lagged(c, f, i, i_half, w, w_half, 0.5 * h)
-            core = eddy_current_lag.slow(c, core, i, i_half, 0.5 * h)
-            mixed_half = eddy_current_lag.mixed(c, f_half, core)
-            z = magnetic_hysteresis.turned(c, z, mixed, mixed_half)
-            felt_half = magnetic_hysteresis.field(c, mixed_half, z)
+            f_half, core, z, felt_half = field_after(c, f, core, z, i, i_half, w, w_half, 0.5 * h)
         # The brake of the first stage in all of them: were its sign to follow v, the stages would disagree at a
         # standstill.
         a2 = 0.0 if held else acceleration(p, c, felt_half, x + 0.5 * h * v, v2, t + 0.5 * h, bent) - brake
@@ -168,11 +165,7 @@ def _substeps(
         f_next, felt_next = i_next, i_next
         if slow:
             w_next = eddy_current_lag.weight(c, plane - x - h * v2, gap_mid)
-            f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, w_half, w_next, 0.5 * h)
-            core = eddy_current_lag.slow(c, core, i_half, i_next, 0.5 * h)
-            mixed_next = eddy_current_lag.mixed(c, f_next, core)
-            z = magnetic_hysteresis.turned(c, z, mixed_half, mixed_next)
-            felt_next = magnetic_hysteresis.field(c, mixed_next, z)
+            f_next, core, z, felt_next = field_after(c, f_half, core, z, i_half, i_next, w_half, w_next, 0.5 * h)
         v3 = v + 0.5 * h * a2
         a3 = acceleration(p, c, felt_half, x + 0.5 * h * v2, v3, t + 0.5 * h, bent) - brake
         v4 = v + h * a3

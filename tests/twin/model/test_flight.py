@@ -13,14 +13,36 @@ from twin.model.causes import (
     amplifier_gain_drift,
     constant_force,
     core_saturation,
+    current_sensor_lag,
     curve,
+    eddy_current_lag,
     force_exponent,
+    freewheel_diode,
+    magnetic_hysteresis,
     periodic_disturbance,
     quadratic_drag,
     residual_magnetism,
+    second_time_constant,
+    slew_rate_limit,
 )
 from twin.model.causes.catalogue import neutral
-from twin.model.extended import FIELD, I_C, STATES, WARMTH, Base, V, X, acceleration, drive
+from twin.model.extended import (
+    CORE,
+    FIELD,
+    I_C,
+    I_SENSOR,
+    LOOP,
+    SECOND,
+    STATES,
+    WARMTH,
+    Base,
+    V,
+    X,
+    acceleration,
+    drive,
+    feels_ball,
+    settle_current,
+)
 from twin.model.flight import fly
 from twin.model.integration import over
 
@@ -36,6 +58,18 @@ CAUSES = {
         curve.PULL_OVER_I: 0.0, curve.PULL_OVER_I + 1: 1.5, curve.PULL_OVER_I + 5: 0.2,
     },
 }  # fmt: skip
+
+LAGS = {
+    "second time constant": {second_time_constant.SHARE: 0.3, second_time_constant.TAU: 2e-3},
+    "slew rate": {slew_rate_limit.RATE: 200.0},
+    "slew rate and second time constant": {slew_rate_limit.RATE: 300.0, second_time_constant.SHARE: 0.2},
+    "diode": {freewheel_diode.DROP: 1.5},
+    "field": {eddy_current_lag.TAU: 1e-3},
+    "power of the field": {eddy_current_lag.TAU: 1e-3, eddy_current_lag.ORDER: 2.0},
+    "two fields": {eddy_current_lag.TAU: 1e-3, eddy_current_lag.SLOW: 0.3, eddy_current_lag.TIMES: 10.0},
+    "loop": {magnetic_hysteresis.HALF_WIDTH: 0.05, magnetic_hysteresis.TURN: 0.1},
+    "sensor and saturation": {current_sensor_lag.TAU: 1e-3, core_saturation.I_S: 1.0},
+}
 
 
 def paper(T_A: float = 3e-4) -> Base:
@@ -98,6 +132,34 @@ def test_a_step_is_as_exact_as_runge_kutta(cause: str, T_s: float) -> None:
     assert errors[1] < 1.5 * step_errors[1] + 5e-9
     assert errors[2] < 1.5 * step_errors[2] + 1e-5
     assert errors[1] < 2e-7
+
+
+@pytest.mark.parametrize("cause", LAGS)
+def test_a_step_with_lags_is_as_exact_as_runge_kutta(cause: str) -> None:
+    """The reference is Runge-Kutta in steps of 10 us."""
+    draw, c, T_s = np.random.default_rng(21), vector(LAGS[cause]), 2e-3
+    states = [I_C, FIELD, CORE, LOOP, SECOND, I_SENSOR, X, V]
+    assert not feels_ball(c)
+    flown, stepped = [], []
+
+    for T_A in (1e-4, 3e-4, 2e-3, 3e-2) * 6:
+        p = paper(T_A)
+        y, before, u, change = random_flight(draw, p, T_s)
+        settle_current(c, y, y[I_C])
+        y[LOOP] = draw.uniform(-0.9, 0.9)
+        y_steps, want = y.copy(), y.copy()
+        fly(tuple(p), c, y, before, change, u, 0.0, T_s)
+        for held, begin, end in ((before, 0.0, change), (u, change, T_s)):
+            over(tuple(p), c, y_steps, held, begin, end - begin, False)
+            count = math.ceil((end - begin) / 1e-5)
+            for _ in range(count):
+                over(tuple(p), c, want, held, begin, (end - begin) / count, False)
+        flown.append(np.abs(y - want)[states])
+        stepped.append(np.abs(y_steps - want)[states])
+
+    errors, step_errors = np.max(flown, axis=0), np.max(stepped, axis=0)
+    np.testing.assert_array_less(errors, 1.5 * step_errors + [*[1e-9] * 6, 5e-9, 1e-5])
+    assert errors[-2] < 2e-7
 
 
 def test_a_change_of_the_input_within_a_step_is_two_steps() -> None:

@@ -23,7 +23,7 @@ from twin.diagnosis.search.probes import probes_of
 from twin.estimation.innovations import information
 from twin.estimation.pace import Reuse
 from twin.estimation.record import FloatArray
-from twin.inference.likelihood import Criterion
+from twin.inference.likelihood import Criterion, nearby_reuse
 from twin.inference.optimiser import inverse
 from twin.inference.theta import Theta, coordinates_of, derivative_step, moved
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
@@ -149,8 +149,9 @@ def _sums(
     base, free_change = criterion.derivatives(theta, free, run, rough=True)
     models = [probed(theta, cause, probe, shape) for cause, probe, shape in trials]
     # The slopes of a ball that may stick are not those of one that cannot.
-    # Slopes of the model without a cause serve for its probe: the probe is small, and a run with known slopes is cheap.
-    reuse = [Reuse.NONE if "sticks" in cause.traits else Reuse.SLOPES for cause, *_ in trials]
+    # Gains or slopes of the model without a cause serve for its probe: it is small, and such a run is cheap.
+    strengths = [(cause, coordinates_of(cause.name)[0]) for cause, *_ in trials]
+    reuse = [Reuse.NONE if "sticks" in cause.traits else nearby_reuse(name) for cause, name in strengths]
     change = np.concatenate((free_change, criterion.changes(models, [1.0] * len(models), run, reuse)))
     count = len(change)
     fisher, each = np.zeros((count, count)), np.empty((len(base), count))

@@ -6,7 +6,7 @@ from twin.compiled import inlined, kernel
 from twin.estimation.ekf.lines import lines_of_current, lines_of_position, share_of_lines, variance_of_lines
 from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
 from twin.estimation.innovations import SPEED_STD_M_S
-from twin.model.causes import current_sensor_lag, eddy_current_lag, position_sensor_lag
+from twin.model.causes import current_sensor_lag, eddy_current_lag, position_sensor_lag, sensor_crosstalk
 from twin.model.causes.wander import MINUTE_S
 from twin.model.extended import (
     FIELD,
@@ -28,6 +28,7 @@ from twin.model.extended import (
     settle_current,
 )
 
+OF_I, OF_X = 0, 1  # rows of the gains
 # After the first of a flight.  With a lag of 1 ms later ones hardly depend on the start, with one of 1.6 ms a little.
 TELLING_READINGS = 5
 _ACCELERATION_M_S2 = 15.0  # standard deviation at the beginning of a flight
@@ -67,7 +68,7 @@ def measure_current(f: Memory, reading: float) -> None:
         f.P[f.i_sensor, f.i_sensor] = _CURRENT_VARIANCE
         f.P[0, f.i_sensor] = _CURRENT_VARIANCE
         f.P[f.i_sensor, 0] = _CURRENT_VARIANCE
-    correct(f, f.h_i[:], f.r_i, reading - expected_current_reading(f))
+    correct(f, OF_I, f.h_i[:], f.r_i, reading - expected_current_reading(f))
     if f.i_sensor >= 0:
         # A slow sensor shows the current of a time constant ago, and the rate at which it changed since is unknown.
         f.P[0, 0] += (f.c[current_sensor_lag.TAU] * _RATE_A_S) ** 2
@@ -202,7 +203,7 @@ def take_readings(f: Memory, out: Floats, n: int, i: float, x: float, use_i: boo
         use_x: whether x is used; only in flight.
     """
     wandered(f, f.y)
-    P, m = f.P, f.m
+    m = f.m
     # One reading after the other instead of both with a 2 x 2 inverse: the result is the same, as the noise of the two
     # is independent, and no matrix is inverted.  The joint covariance is noted first, for the likelihood.
     n_i, n_x = i - expected_current_reading(f), 0.0
@@ -211,21 +212,19 @@ def take_readings(f: Memory, out: Floats, n: int, i: float, x: float, use_i: boo
         # The first readings of a flight determine the initial speed and the state of the sensor, so they are not
         # counted as predicted: a model with a smaller initial variance (friction, a settled field) would seem better.
         if f.readings >= TELLING_READINGS:
-            out[n, 1], out[n, 4] = n_x, variance(f, f.h_x[:], f.r_x)
-            if use_i:
-                s_ix = 0.0
-                for a in range(m):
-                    for k in range(m):
-                        s_ix += f.h_i[k] * P[k, a] * f.h_x[a]
-                out[n, 3] = s_ix
+            out[n, 1] = n_x
+            if not f.reuses_gains:
+                out[n, 4] = variance(f, f.h_x[:], f.r_x)
+                if use_i:
+                    out[n, 3] = covariance(f, f.h_i[:], f.h_x[:])
         f.readings += 1
     if use_i:
-        out[n, 0], out[n, 2] = n_i, correct(f, f.h_i[:], f.r_i, n_i)
+        out[n, 0], out[n, 2] = n_i, correct(f, OF_I, f.h_i[:], f.r_i, n_i)
         if use_x:
             for a in range(m):
-                n_x -= f.h_x[a] * f.K[a] * n_i
+                n_x -= f.h_x[a] * f.gains[OF_I, a] * n_i
     if use_x:
-        correct(f, f.h_x[:], f.r_x, n_x)
+        correct(f, OF_X, f.h_x[:], f.r_x, n_x)
     if f.field < 0:
         f.y[FIELD] = f.y[I_C]
     if f.sensor < 0:
@@ -244,7 +243,7 @@ def compare_at_stop(f: Memory, out: Floats, n: int, x: float, stop_m: float, use
         out[n, 1] -= lines_of_position(f, f.y[:], f.h_x[:])
         if f.x_colour >= 0:
             out[n, 1] -= f.share_x * f.y[X_COLOUR]
-        out[n, 4] = correct(f, f.h_x[:], f.r_x, out[n, 1])
+        out[n, 4] = correct(f, OF_X, f.h_x[:], f.r_x, out[n, 1])
 
 
 @inlined
@@ -276,7 +275,7 @@ def position_slopes(f: Memory, y: Floats, h: Floats) -> float:
     if f.x_offset >= 0:
         h[f.x_offset] = 1.0
     reading = position_reading(p, c, y[X], y[I_C])
-    h[0] = (position_reading(p, c, y[X], y[I_C] + 1e-3) - reading) / 1e-3
+    h[0] = sensor_crosstalk.disturbed(c, 0.0, 1.0)
     h[1] = (position_reading(p, c, y[X] + 1e-6, y[I_C]) - reading) / 1e-6
     return reading + noise
 
@@ -284,49 +283,64 @@ def position_slopes(f: Memory, y: Floats, h: Floats) -> float:
 @inlined
 def variance(f: Memory, h: Floats, r: float) -> float:
     """Return the variance of the innovation of a reading with derivatives h and noise variance r: r + h' P h."""
-    total = r
-    for a in range(f.m):
-        for b in range(f.m):
-            total += h[a] * f.P[a, b] * h[b]
+    return r + covariance(f, h, h)
+
+
+@inlined
+def covariance(f: Memory, g: Floats, h: Floats) -> float:
+    """Return g' P h, with g and h of shape (m,) or longer."""
+    return _form(f.P, g, h, 3) if f.m == 3 else _form(f.P, g, h, 4) if f.m == 4 else _form(f.P, g, h, f.m)
+
+
+@inlined
+def _form(P: Floats, g: Floats, h: Floats, m: int) -> float:
+    total = 0.0
+    for a in range(m):
+        for b in range(m):
+            total += g[a] * P[a, b] * h[b]
     return total
 
 
 @inlined
-def correct(f: Memory, h: Floats, r: float, innovation: float) -> float:
-    """Correct state and covariance by one reading; returns the variance s of its innovation; f.K is the Kalman gain.
+def correct(f: Memory, channel: int, h: Floats, r: float, innovation: float) -> float:
+    """Correct state and covariance by one reading; returns the variance s of its innovation, or 0 with known gains.
 
         s = h' P h + r,   K = P h / s,   y -> y + K nu,   P -> P - K s K'    (Kalman, 1960)
 
-    P has shape (m, m); h and K have (m,).  If the ball is held, only the current and the lasting states are corrected.
+    P has shape (m, m), h has (m,), and K is f.gains[channel]: OF_I or OF_X.  If the ball is held, only the current and
+    the lasting states are corrected.
     """
-    if f.m == 3:  # as in `predict.carry`
-        s = _gain(f.P, f.K, h, r, 3)
+    s = 0.0
+    if f.reuses_gains:
+        pass
+    elif f.m == 3:  # as in `predict.carry`
+        s = _gain(f.P, f.gains, channel, h, r, 3)
     elif f.m == 4:
-        s = _gain(f.P, f.K, h, r, 4)
+        s = _gain(f.P, f.gains, channel, h, r, 4)
     else:
-        s = _gain(f.P, f.K, h, r, f.m)
+        s = _gain(f.P, f.gains, channel, h, r, f.m)
     for a in range(f.m):
         if a == 0 or f.in_flight or a >= f.lasting:
-            f.y[f.places[a]] += f.K[a] * innovation
+            f.y[f.places[a]] += f.gains[channel, a] * innovation
     return s
 
 
 @inlined
-def _gain(P: Floats, K: Floats, h: Floats, r: float, m: int) -> float:
+def _gain(P: Floats, gains: Floats, channel: int, h: Floats, r: float, m: int) -> float:
     """Set K and P of `correct` in the first m rows and columns; returns s."""
     s = r
     for a in range(m):
-        K[a] = 0.0
+        gains[channel, a] = 0.0
         for b in range(m):
-            K[a] += P[a, b] * h[b]
+            gains[channel, a] += P[a, b] * h[b]
     for a in range(m):
-        s += h[a] * K[a]
+        s += h[a] * gains[channel, a]
     for a in range(m):
-        K[a] /= s
+        gains[channel, a] /= s
     for a in range(m):
         for b in range(a, m):
             # P - K s K' for one reading is symmetric by construction.  Joseph's form would cost three products of
             # matrices.
-            P[a, b] -= K[a] * K[b] * s
+            P[a, b] -= gains[channel, a] * gains[channel, b] * s
             P[b, a] = P[a, b]
     return s

@@ -25,6 +25,8 @@ import numpy as np
 
 from twin.compiled import inlined, kernel
 from twin.estimation.ekf.correct import (
+    OF_I,
+    OF_X,
     compare_at_stop,
     correct,
     expected_current_reading,
@@ -78,8 +80,8 @@ def filtered(
     Args:
         system: the model and its noise.
         samples: of the series.
-        known: steps of a nearby model to reuse: its Jacobians alone, or also its states if the models differ only in
-            their noise.
+        known: steps of a nearby model to reuse: its gains alone, its Jacobians alone, or also its states if the models
+            differ only in their noise.  With known gains the results have no covariance.
         state: whether to return the states.
         spread: whether to return their covariance.
         steps: whether to return the steps.
@@ -105,6 +107,15 @@ def _write_step(f: Memory, written: Steps, n: int) -> None:
 
 
 @inlined
+def _write_correction(f: Memory, written: Steps, n: int) -> None:
+    """Write state and gains after the correction at n, where steps are requested."""
+    if written.after.shape[0] > 0:
+        for k in range(f.m):
+            written.after[n, k] = f.y[f.places[k]]
+            written.gains[n, OF_I, k], written.gains[n, OF_X, k] = f.gains[OF_I, k], f.gains[OF_X, k]
+
+
+@inlined
 def _held_at(f: Memory, flags: int, reading: float) -> float:
     """Return the position of a held ball, m: at a stop that of the stop, which errors of the sensor do not change."""
     if flags & RESTS_LOW != 0:
@@ -122,6 +133,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
     # there. A run for each of many short captures would pay for a call each time.
     inputs = u.copy()  # those of lost samples are estimated
     r_x, fast = f.r_x, False
+    f.reuses_gains = known.gains.shape[0] > 0
     for n in range(len(u)):
         for column in range(out.shape[1]):
             out[n, column] = np.nan
@@ -131,6 +143,9 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             see_instrument(f, fast)
         if noise_ratio.shape[0] > 0:
             scale_noise(f, fast, r_x, noise_ratio[n, 0], noise_ratio[n, 1])
+        if f.reuses_gains:
+            for k in range(f.m):
+                f.gains[OF_I, k], f.gains[OF_X, k] = known.gains[n, OF_I, k], known.gains[n, OF_X, k]
         wandered(f, f.y)
         use_i, use_x = flags[n] & USE_I != 0, flags[n] & USE_X != 0
         f.in_flight = f.in_flight and flies and follows
@@ -152,17 +167,18 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
                 step_linearised(f, known, n, T_s)
             else:
                 advance(f, f.y[:], held, t[n - 1], T_s, FREE)
-            if known.slopes.shape[0] > 0:
-                take_slopes(f, known, n)
-                slopes_of_colour(f, T_s)
-            else:
-                differences(f, held, t[n - 1], T_s)
-            _write_step(f, written, n)
-            carry(f.F, f.P, f.G, f.m)
-            if unknown:
-                doubt_input(f, inputs, lost, n, t[n - 1], T_s)
-            add_process_noise(f, T_s)
-            add_jitter(f, inputs, n, T_s)
+            if not f.reuses_gains:
+                if known.slopes.shape[0] > 0:
+                    take_slopes(f, known, n)
+                    slopes_of_colour(f, T_s)
+                else:
+                    differences(f, held, t[n - 1], T_s)
+                _write_step(f, written, n)
+                carry(f.F, f.P, f.G, f.m)
+                if unknown:
+                    doubt_input(f, inputs, lost, n, t[n - 1], T_s)
+                add_process_noise(f, T_s)
+                add_jitter(f, inputs, n, T_s)
         elif follows:
             held = input_over(f.c[:], inputs, n, f.first, step[n])
             predict_held(f, held, inputs, n, t[n - 1], step[n], _held_at(f, flags[n - 1], y_x[n - 1]), known)
@@ -185,13 +201,12 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             use_x = False
         # The first of these readings determined the lost input (rule 5), so it does not test a model.
         if use_i and f.in_flight and n - f.first > 1 and (flags[n - 1] | flags[n - 2]) & LOST != 0:
-            correct(f, f.h_i[:], f.r_i, y_i[n] - expected_current_reading(f))
+            correct(f, OF_I, f.h_i[:], f.r_i, y_i[n] - expected_current_reading(f))
             use_i = False
         if use_x and not f.in_flight and flags[n] & (RESTS_LOW | RESTS_HIGH) != 0:
             compare_at_stop(f, out, n, y_x[n], f.low_m if flags[n] & RESTS_LOW != 0 else f.high_m, use_i)
         take_readings(f, out, n, y_i[n], y_x[n], use_i, use_x and f.in_flight)
-        for k in range(written.after.shape[1] if written.after.shape[0] > 0 else 0):
-            written.after[n, k] = f.y[f.places[k]]
+        _write_correction(f, written, n)
         if spread.shape[0] > 0:
             for row in range(f.m):
                 for k in range(f.m):

@@ -122,7 +122,8 @@ class Memory(Protocol):
     previous: Floats  # the state at the previous sample
     moved: Floats  # working array
     back: Floats  # working array
-    K: Floats  # Kalman gain
+    gains: Floats  # Kalman gains of the last readings of i_c and x, shape (2, STATES)
+    reuses_gains: bool  # they come from another run, and there is no covariance
     h_i: Floats  # derivatives of the reading of i_c
     h_x: Floats  # derivatives of the reading of x
     P: Floats  # covariance, shape (STATES, STATES)
@@ -171,13 +172,13 @@ def _fields() -> np.dtype[np.void]:
     vector, square = (STATES,), (STATES, STATES)
     numbers = ("moments_s", "r_i", "r_x", "v_i", "v_x", "tau_i", "tau_x", "share_x", "q_i", "q_a", "low_m", "high_m")
     counts = ("m", *_NAMED, "lasting", "wandering", "coloured", "first", "readings", "lines", "lines_count")
-    vectors = ("y", "previous", "moved", "back", "K", "h_i", "h_x", "h_line")
+    vectors = ("y", "previous", "moved", "back", "h_i", "h_x", "h_line")
     fields: list[Any] = [("paper", float, (len(Base._fields),)), *((name, float, (PLACES,)) for name in ("c", "usual"))]
     fields += [(name, float) for name in numbers] + [(name, np.int64) for name in counts]
     fields += [("places", np.int64, vector), ("offsets", np.int64, vector), ("q_w", float, vector)]
-    fields += [("moments", float, (9,)), ("noise_i_c", float, (6,))]
+    fields += [("moments", float, (9,)), ("noise_i_c", float, (6,)), ("gains", float, (2, STATES))]
     fields += [(name, float, (2 * HARMONICS,)) for name in ("pulse", "v_line", "q_line")]
-    fields += [(name, np.bool_) for name in ("closed_form", "in_flight")]
+    fields += [(name, np.bool_) for name in ("closed_form", "in_flight", "reuses_gains")]
     fields += [(name, float, vector) for name in vectors] + [(name, float, square) for name in ("P", "F", "G")]
     return np.dtype(fields, align=True)
 

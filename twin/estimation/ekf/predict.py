@@ -228,16 +228,16 @@ def wander_on(f: Memory, T_s: float) -> None:
 def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: float) -> None:
     """Add to the covariance the effect of the unknown u_c of the sample `lost`; other arguments as `input_over`."""
     wandered(f, f.previous)
-    moved, K = f.moved[:], f.K
+    moved, change = f.moved[:], f.back[:]
     inputs[lost] += INPUT_DELTA_V
     copy(moved, f.previous[:])
     propagate(base_of(f), f.c[:], moved, input_over(f.c[:], inputs, n, f.first, T_s), t, T_s, FREE)
     inputs[lost] -= INPUT_DELTA_V
     for row in range(f.coloured):
-        K[row] = UNKNOWN_INPUT_V * (moved[f.places[row]] - f.y[f.places[row]]) / INPUT_DELTA_V
+        change[row] = UNKNOWN_INPUT_V * (moved[f.places[row]] - f.y[f.places[row]]) / INPUT_DELTA_V
     for row in range(f.coloured):
         for column in range(f.coloured):
-            f.P[row, column] += K[row] * K[column]
+            f.P[row, column] += change[row] * change[column]
 
 
 @inlined
@@ -256,6 +256,8 @@ def predict_held(f: Memory, u: HeldInput, inputs: Floats, n: int, t: float, T_s:
     else:
         _advance_held(f, y, u, t, T_s)
         fade(f, y, T_s)
+    if f.reuses_gains:
+        return
     if known.slopes.shape[0] > 0:
         take_slopes(f, known, n)
     else:

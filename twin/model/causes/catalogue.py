@@ -88,13 +88,14 @@ BY_NAME = {cause.name: cause for cause in (*CATALOGUE, *CURVES, *STATED)}
 OFFSETS = tuple((cause.strength.index, shape.index) for cause in CATALOGUE for shape in cause.shapes if shape.walks)
 
 
+_NEUTRAL = np.zeros(PLACES)
+for _parameter in (parameter for cause in CATALOGUE for parameter in cause.parameters):
+    _NEUTRAL[_parameter.index] = _parameter.neutral
+
+
 def neutral() -> NDArray[np.float64]:
     """The vector c of the paper's model, shape (PLACES,)."""
-    c = np.zeros(PLACES)
-    for cause in CATALOGUE:
-        for parameter in cause.parameters:
-            c[parameter.index] = parameter.neutral
-    return c
+    return _NEUTRAL.copy()
 
 
 def with_trait(trait: Trait) -> frozenset[str]:

@@ -44,6 +44,8 @@ CAUSE = Cause(
 @inlined
 def bent(c: Vector, x: float, travel: float) -> float:
     """The reading of a sensor that is calibrated at both stops, m."""
+    if c[BOW] == 0.0:
+        return x
     w = 2.0 * x / travel - 1.0
     side = 1.0 - c[SKEW] * c[SKEW] + S_SHAPE * c[SKEW] * w
     return x + c[BOW] * (1.0 - w * w) * (1.0 + c[FULLNESS] * w * w) * side
