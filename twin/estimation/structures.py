@@ -94,16 +94,6 @@ class Steps(NamedTuple):
         """Return the part that belongs to some samples, as views."""
         return Steps(*(column[piece] for column in self))
 
-    @property
-    def jacobians(self) -> Steps:
-        """The Jacobians without the states: a run reuses them but computes its own steps."""
-        return NO_STEPS._replace(slopes=self.slopes)
-
-    @property
-    def corrections(self) -> Steps:
-        """The gains alone: a run that reuses them computes its own steps and no covariance."""
-        return NO_STEPS._replace(gains=self.gains)
-
 
 class Results(NamedTuple):
     """Results of a run of the filter."""

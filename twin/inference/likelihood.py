@@ -202,13 +202,7 @@ class Criterion:
             for theta, mode in zip(thetas, reuse, strict=True)
         ]
         self.pay(*thetas, reuse=reuse)
-        kept = at.steps
-        steps = {
-            Reuse.NONE: NO_STEPS,
-            Reuse.SLOPES: kept.jacobians,
-            Reuse.GAINS: kept.corrections,
-            Reuse.STEPS: kept._replace(gains=NO_STEPS.gains),
-        }
+        steps = {mode: _reused(at.steps, mode) for mode in Reuse}
         change = np.empty((len(thetas), *at.innovations.shape))
 
         def fill_in(index: int) -> None:
@@ -292,6 +286,15 @@ class Criterion:
         models = [moved(theta, name, step, self.plant) for name, step in zip(names, steps, strict=True)]
         score, curvature = self.outside.slopes(theta, models, steps)
         return total, each.sum(axis=0) + score, fisher + curvature
+
+
+def _reused(steps: Steps, mode: Reuse) -> Steps:
+    """Return the parts of a run's steps that a nearby model takes."""
+    if mode is Reuse.NONE:
+        return NO_STEPS
+    if mode is Reuse.SLOPES:
+        return NO_STEPS._replace(slopes=steps.slopes)
+    return NO_STEPS._replace(gains=steps.gains) if mode is Reuse.GAINS else steps._replace(gains=NO_STEPS.gains)
 
 
 def _reusable(theta: Theta, names: Sequence[str], rough: bool) -> list[Reuse]:

@@ -104,7 +104,7 @@ def _step(
     """Run `fly` over at most LONGEST_STEP_S with constants that say what acts: `is_bent`, `is_slow`."""
     p = Base(*base)
     i, x, v, w = y[I_C], y[X], y[V], y[WARMTH]
-    f, core, z, second, shown, felt = y[FIELD], y[CORE], y[LOOP], y[SECOND], y[I_SENSOR], i
+    f, core, z, second, sensed, felt = y[FIELD], y[CORE], y[LOOP], y[SECOND], y[I_SENSOR], i
     if slow:
         felt = magnetic_hysteresis.field(c, eddy_current_lag.mixed(c, f, core), z)
     pull_0, rest_0 = pull_per_square(p, c, x, bent), rest_of_acceleration(p, c, x, v, t, bent)
@@ -130,7 +130,7 @@ def _step(
                 i_half, i_end, second = current_after(p, c, i, second, target, before if piece == 0 else u, half_s)
                 f, core, z, felt_half = field_after(c, f, core, z, i, i_half, 1.0, 1.0, half_s)
                 f, core, z, felt = field_after(c, f, core, z, i_half, i_end, 1.0, 1.0, half_s)
-                shown = current_sensor_lag.lagged(c, shown, i, i_half, i_end, 2.0 * half_s)
+                sensed = current_sensor_lag.lagged(c, sensed, i, i_half, i_end, 2.0 * half_s)
             else:
                 i_half = target + (i - target) * decay
                 i_end = target + (i_half - target) * decay
@@ -166,7 +166,7 @@ def _step(
     y[I_C], y[X], y[V], y[FIELD] = i, x_end, v_end, i
     y[SENSOR], y[RATE], y[I_SENSOR] = position_reading(p, c, x_end, i), 0.0, i
     if slow:
-        y[FIELD], y[CORE], y[LOOP], y[SECOND], y[I_SENSOR] = f, core, z, second, shown
+        y[FIELD], y[CORE], y[LOOP], y[SECOND], y[I_SENSOR] = f, core, z, second, sensed
 
 
 @inlined

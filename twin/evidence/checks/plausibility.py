@@ -31,7 +31,7 @@ def inspect(records: list[Record], plant: Plant, controller: Controller | None) 
     Raises:
         DataError: a channel has a wrong unit or sign, or is exchanged with another, or x_max is within the travel.
     """
-    impossible = next((one for one in objections(asdict(plant)) if one.is_error), None)
+    impossible = next((objection for objection in objections(asdict(plant)) if objection.is_error), None)
     if impossible is not None:
         raise DataError(f"[plant] {impossible.key}: {impossible.problem}", remedy=impossible.remedy)
     warnings: list[str] = []
