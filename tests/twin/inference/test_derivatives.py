@@ -20,6 +20,7 @@ from twin.inference.likelihood import Criterion, mean_square
 from twin.inference.theta import BASE, NOISES, STOP_UNIT_M, STOPS, Theta, coordinates_of, derivative_step, moved
 from twin.settings import diagnosis as settings
 
+SLOPES, GAINS = Reuse.SLOPES, Reuse.GAINS
 CASES = [
     THETA,
     strong("eddy-current-lag", 1e-3),
@@ -89,6 +90,24 @@ def test_the_derivative_by_a_stop_is_that_of_the_filter_whatever_the_colour_of_t
 
     assert np.nanmin(exact[0][:, 1]) == pytest.approx(-STOP_UNIT_M, rel=1e-3)
     np.testing.assert_allclose(change, exact, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("theta", [*CASES, replace(THETA, tau_x_s=8e-3, white_x=0.1)])
+@pytest.mark.parametrize(("share", "tolerance"), [(0.0, 1e-6), (0.05, 0.2)])
+def test_a_run_with_the_gains_of_another_is_one_with_its_slopes(theta: Theta, share: float, tolerance: float) -> None:
+    """The doubt about the input of a lost sample depends on the model, and the gains with it."""
+    records = narrow(theta, seconds=1.0)
+    criterion = criterion_of([less(record, drawn(record, share, 1)) if len(record.t) else record for record in records])
+    names = ["K_A", "T_A", "K_c", "b", *(name for name, _ in theta.causes[-1:])]
+    run, steps = criterion.run(theta), [derivative_step(theta, name, PLANT) for name in names]
+    models = [moved(theta, name, step, PLANT) for name, step in zip(names, steps, strict=True)]
+
+    by_slopes, by_gains = (criterion.changes(models, steps, run, [mode] * len(names)) for mode in (SLOPES, GAINS))
+    criterion.close()
+
+    for slopes, gains in zip(by_slopes, by_gains, strict=True):
+        largest = np.nanmax(np.abs(slopes), axis=0)[:2]
+        assert np.all(np.nan_to_num(np.abs(gains - slopes))[:, :2] <= tolerance * largest + 1e-9)
 
 
 @pytest.mark.parametrize("theta", CASES)
