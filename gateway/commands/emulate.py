@@ -69,6 +69,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--speed", type=float, default=1.0, metavar="N",
         help="multiple of real time; 0: as fast as possible, without --duration only while a host is connected",
     )  # fmt: skip
+    parser.add_argument(
+        "--latency-timer", type=float, default=0.0, metavar="MS",
+        help="the adapter of the line collects what a board sends, for MS milliseconds of its time: 8 halves the "
+        "processor time of emulator and gateway, 16 is usual for USB adapters (default: 0, each tick sends)",
+    )  # fmt: skip
     parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds of the boards' time")
     _add_deviations(parser)
     parser.add_argument("--json", action="store_true", help="print for machines: one JSON object per line")
@@ -122,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
         ports, effects=strengths, faults=args.fault, seed=args.seed, baud=args.baud, board_id=args.board_id,
         firmware=_firmware(args), rig=args.rig,
     )  # fmt: skip
-    server = Server(lines, speed=args.speed)
+    server = Server(lines, speed=args.speed, latency_timer_s=args.latency_timer * 1e-3)
     on_end_signal(server.stop)
     for n, line in enumerate(lines):
         facts = {"board_id": args.board_id + n, "url": line.port.url}
@@ -174,6 +179,7 @@ def _check(args: argparse.Namespace) -> None:
         ("--board-id", args.board_id, 0, 0xFFFFFFFF - 64),
         ("--baud", args.baud, 300, 4_000_000),
         ("--speed", args.speed, 0.0, 1000.0),
+        ("--latency-timer", args.latency_timer, 0.0, 100.0),
         ("--duration", 0.0 if args.duration is None else args.duration, 0.0, math.inf),
         ("--seed", args.seed, 0, 2**63),
         ("--secret", args.secret or 0, 0, 2**63),

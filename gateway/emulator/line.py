@@ -1,8 +1,10 @@
-"""A board at the end of a line: firmware, baud rate, link faults, port; one tick at a time.
+"""A board at the end of a line: firmware, baud rate, link faults, port; some ticks at a time.
 
 Rule 1: the bytes of a tick pass together at its start, up to what the baud rate lets through in T_s.  So nothing is
         ever sent faster than the line, and a byte comes at most T_s too early.
-Rule 2: towards the board each byte has its own time within the tick, so that STOP acts when its last byte is in.
+Rule 2: what the board sends in ticks that run together reaches the port at once, at their end, as an adapter with a
+        latency timer sends it.
+Rule 3: towards the board each byte has its own time within the tick, so that STOP acts when its last byte is in.
 """
 
 from __future__ import annotations
@@ -97,6 +99,7 @@ class BoardLine:
         self._pacers = {direction: Pacer(baud) for direction in ("tx", "rx")}
         self._ticks = 0
         self._rest = b""  # of the frame on the line
+        self._collected = bytearray()  # sent, and not yet at the port
         self._output_fault = OutputFault.NONE
         self._plugged = True
         self._disconnected = False
@@ -140,28 +143,33 @@ class BoardLine:
         self.firmware.reset(EventCode.RESET_POWER_ON)
         self._rest = b""
 
-    def step(self, *, wait_s: float = 0.0) -> None:
-        """Run one tick; the board waits at most `wait_s` for a slow host (0: real time, no waiting).
+    def step(self, ticks: int = 1, *, wait_s: float = 0.0) -> None:
+        """Run ticks; the board waits at most `wait_s` for a slow host (0: real time, no waiting).
 
-        With a wrong clock it is none, one or two.
+        With a wrong clock each is none, one or two.
         """
-        if not self._faults:
-            self._tick(wait_s)
-            return
+        for _ in range(ticks):
+            if self._faults:
+                self._step_with_faults()
+            else:
+                self._tick()
+        self._deliver(wait_s)
+
+    def _step_with_faults(self) -> None:
         rates = [fault.value for fault in self._faults if fault.name in CLOCK and fault.active(self.time_s)]
         self._ahead += (rates[-1] if rates else 1.0) - 1.0
         due = 1 + math.floor(self._ahead)
         self._ahead -= due - 1
         for _ in range(due):
             self._suffer()
-            self._tick(wait_s)
+            self._tick()
 
-    def _tick(self, wait_s: float) -> None:
+    def _tick(self) -> None:
         time_s = self.time_s
         self._receive(time_s)
         self.firmware.tick()
         self._ticks += 1
-        self._send(time_s, wait_s)
+        self._send(time_s)
 
     def close(self) -> None:
         """Close the port."""
@@ -196,6 +204,7 @@ class BoardLine:
         if plugged == self._plugged:
             return
         self._plugged = plugged
+        self._deliver(0.0)
         if plugged:
             self.port.open(renamed=renamed or self._renames)
         else:
@@ -212,7 +221,7 @@ class BoardLine:
         for n in range(len(data)):
             self.firmware.feed(data[n : n + 1], into_tick_us=(n + 1) * pacer.byte_us)
 
-    def _send(self, time_s: float, wait_s: float) -> None:
+    def _send(self, time_s: float) -> None:
         pacer = self._pacers["tx"]
         room = pacer.allow(T_S_US)
         while len(self._rest) < room and (frame := self.firmware.take_frame()):
@@ -220,6 +229,10 @@ class BoardLine:
         data, self._rest = self._rest[:room], self._rest[room:]
         pacer.spend(len(data), more=len(data) == room)
         self._sent += len(data)
-        data = self._wires["tx"].convey(data, time_s, self._faults)
-        if data:
+        self._collected += self._wires["tx"].convey(data, time_s, self._faults)
+
+    def _deliver(self, wait_s: float) -> None:
+        if self._collected:
+            data = bytes(self._collected)
+            self._collected.clear()
             self._undelivered += len(data) - self.port.write(data, wait_s)

@@ -91,6 +91,7 @@ def test_a_listener_beyond_this_machine_is_one_line_of_warning(
         ["--boards", "0"],
         ["--baud", "1"],
         ["--speed", "nan"],
+        ["--latency-timer", "-1"],
         ["--tcp", "nonsense"],
         ["--tcp", "127.0.0.1:65535", "--boards", "2"],
         ["--pty", "/nowhere/at/all"],

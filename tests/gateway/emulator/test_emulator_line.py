@@ -9,6 +9,7 @@ import pytest
 from gateway.emulator.faults import parse
 from gateway.emulator.firmware_model.flash import BOOT_TICKS, INPUT, WATCHDOG_TICKS
 from gateway.emulator.line import BoardLine
+from gateway.emulator.serve import Server, build_lines
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
 from protocol.wire.messages import EventCode, Message, Mode
 from tests.harness.gateway.board_host import Bench, Host, frame
@@ -44,6 +45,8 @@ class Wire:
         return data
 
     def write(self, data: bytes, wait_s: float = 0.0) -> int:
+        if not self.is_open:
+            return 0
         self.from_board.append(data)
         return len(data)
 
@@ -109,6 +112,35 @@ def test_bytes_to_the_board_take_their_time_too() -> None:
         ticks += 1
 
     assert ticks == 10  # 19 bytes take 19.8 ms
+
+
+def test_ticks_that_run_together_send_together_what_single_ticks_send() -> None:
+    single, wire, _ = on_a_line()
+    together, collected, _ = on_a_line()
+
+    run(single, 40)
+    for _ in range(10):
+        together.step(4)
+
+    assert b"".join(collected.from_board) == b"".join(wire.from_board)
+    assert len(collected.from_board) == 10
+
+
+def test_a_latency_timer_makes_ticks_run_together() -> None:
+    wire = Wire()
+
+    Server(build_lines([wire]), latency_timer_s=20e-3).run(0.5)
+
+    assert len(states(wire)) == 250
+    assert len(wire.from_board) <= 25  # fewer on a busy machine
+
+
+def test_what_was_sent_before_the_plug_was_pulled_arrives() -> None:
+    line, wire, _ = on_a_line("disconnect=1@0.02")
+
+    line.step(40)
+
+    assert [state.sequence for state in states(wire)] == list(range(10))
 
 
 @pytest.mark.parametrize("name", ["HELLO", "READ_CAPTURE"])
