@@ -81,7 +81,10 @@ def fly(
         begins_s, change_s = t + k * T_s, min(max(change - k * T_s, 0.0), T_s)
         # The constants make the compiler leave out what does not act.
         if is_slow(c):
-            _step(base, c, y, before, change_s, u, begins_s, T_s, True, True)
+            if is_bent(c):
+                _step(base, c, y, before, change_s, u, begins_s, T_s, True, True)
+            else:
+                _step(base, c, y, before, change_s, u, begins_s, T_s, False, True)
         elif is_bent(c):
             _step(base, c, y, before, change_s, u, begins_s, T_s, True, False)
         else:
