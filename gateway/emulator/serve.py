@@ -110,7 +110,7 @@ class Server:
 
     def _run_in_time(self, ticks: int | None, speed: float) -> None:
         period_ns = _T_NS / speed
-        # A host reads once in a tick of real time.  A wake-up costs three times as much as a tick.
+        # A host reads once in a tick of real time, or once for each packet of the adapter.
         together = max(1, min(max(int(speed), self._collected_ticks), _BURST))
         start_ns = time.monotonic_ns()
         ticks_run, allowed, before_ns = 0, 0.0, start_ns

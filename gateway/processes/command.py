@@ -177,7 +177,7 @@ class EmulatedLine(NamedTuple):
     served: Callable[[], bool]
 
 
-# Half the processor time of emulator and gateway.  Nobody sees 8 ms: views collect samples for longer.
+# Saves a quarter of the processor time of emulator and gateway.  Views collect samples for longer than 8 ms.
 _ADAPTER = ("--latency-timer", "8")
 
 

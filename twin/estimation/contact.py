@@ -8,9 +8,11 @@ Rule: the data show contact, not the nominal position of a stop: a sensor with a
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from protocol.campaign import Plant
 from twin.distributions import robust_spread
@@ -49,13 +51,13 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     known = np.isfinite(x)
     x = np.interp(np.arange(n), np.flatnonzero(known), x[known])
     # The range within a window, not its standard deviation: a slow rise of an unstable ball has a small one at first.
-    spread = maximum_filter1d(x, HELD_SAMPLES) - minimum_filter1d(x, HELD_SAMPLES)
+    spread = np.ptp(_windows(x, HELD_SAMPLES), axis=1)
     sigma = max(scatter(x), 1e-4 * plant.travel_m)
     # A line of the sensor is not motion, either: 20 um of mains would hide a ball at rest, and with it the noise.
     # Not under a random input, which shakes a ball on its stop: that may look like a line.
     swing_m = 0.0 if record.kind == "prbs" else _swing(x, record.interval_s)
     core = spread <= HELD_SCALES * sigma + 2.0 * swing_m
-    held = maximum_filter1d(core.astype(np.uint8), HELD_SAMPLES) > 0  # all samples of a still window are held
+    held = _windows(core, HELD_SAMPLES).any(axis=1)  # all samples of a still window are held
     held &= known
     for piece in _rests(held, x, HELD_SCALES * sigma):
         held[piece] &= ~_bounces(record.i_c[piece], x[piece], held[piece], sigma)
@@ -66,6 +68,12 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     return np.asarray(held)
 
 
+def _windows(values: NDArray[Any], size: int) -> NDArray[Any]:
+    """Return the values about each one, shape (n, size), size odd; mirrored beyond the ends."""
+    # Not scipy.ndimage: its import takes a fifth of a second of each command of the twin.
+    return sliding_window_view(np.pad(values, size // 2, mode="symmetric"), size)
+
+
 def _swing(x: FloatArray, step_s: float) -> float:
     """The amplitude of the line in the readings x that stands out most, with its harmonics, m; 0 without one."""
     if not step_s > 0.0:
@@ -73,7 +81,7 @@ def _swing(x: FloatArray, step_s: float) -> float:
     # Differences, and none of a ball that moves: they would hide the line of one at rest, or be one.
     steps = np.diff(x)
     moves = np.abs(steps) > CLEAR_STEP * robust_spread(steps)
-    spectrum = periodogram([np.where(maximum_filter1d(moves, HELD_SAMPLES), np.nan, steps)], step_s)
+    spectrum = periodogram([np.where(_windows(moves, HELD_SAMPLES).any(axis=1), np.nan, steps)], step_s)
     if spectrum is None:
         return 0.0
     lowest_hz = 1.0 / (HELD_SAMPLES * step_s)  # of a slower line, a window sees a part only
@@ -102,7 +110,7 @@ def _bounces(i_c: FloatArray, x: FloatArray, held: BoolArray, sigma: float) -> B
     """
     # The line over the current takes out crosstalk: else a changing current would look like a ball that moves.
     rest_m = line_over(i_c[held], x[held])(i_c) if np.isfinite(i_c).all() else np.median(x[held])
-    off = uniform_filter1d(x - rest_m, BOUNCE_SAMPLES)
+    off = _windows(x - rest_m, BOUNCE_SAMPLES).mean(axis=1)
     spread = max(robust_spread(off[held]), sigma / np.sqrt(BOUNCE_SAMPLES))
     away = np.abs(off) > BOUNCE_SCALES * spread
     for piece in runs(away, 1):
@@ -135,7 +143,7 @@ def bounces(record: Record, plant: Plant) -> BoolArray:
     min_change = TURNS * plant.gravity_m_s2 * 4.0 * step_s + CLEAR_STEP * sigma / step_s
     even = np.convolve(np.abs(np.diff(record.t) - step_s) < 0.5 * step_s, np.ones(6), mode="valid") == 6.0
     hit[3:-3] = clear & (change > min_change) & even
-    return np.asarray(maximum_filter1d(hit.astype(np.uint8), 3) > 0)
+    return np.asarray(_windows(hit, 3).any(axis=1))
 
 
 def at_converter_end(values: FloatArray) -> BoolArray:
@@ -146,8 +154,7 @@ def at_converter_end(values: FloatArray) -> BoolArray:
     for end in (np.nanmin(values), np.nanmax(values)):
         # The share at the exact end value, not the distance to a nominal range: the converter's range is often not
         # known.
-        at_end = (values == end).astype(float)
-        cut |= uniform_filter1d(at_end, HELD_SAMPLES) > END_SHARE
+        cut |= _windows(values == end, HELD_SAMPLES).mean(axis=1) > END_SHARE
     return cut
 
 
