@@ -152,7 +152,8 @@ def test_the_screen_with_the_slopes_at_hand_ranks_as_the_filter_itself(hidden: T
     swift, whole = ({entry.cause: entry for entry in screen(c, base.theta, base.free)} for c in (quick, exact))
 
     for cause, score in whole.items():
-        assert swift[cause].gain == pytest.approx(score.gain, rel=0.2, abs=2.0), cause
         assert swift[cause].testable == score.testable
+        if score.testable:  # otherwise the gain is one of rounding errors
+            assert swift[cause].gain == pytest.approx(score.gain, rel=0.2, abs=2.0), cause
     quick.close()
     exact.close()

@@ -110,10 +110,15 @@ def screen(
             moves=projection.moves,
             other_values=shape,
         )
-        # The probe that gains most stands for the cause: at another size a limit may have no signature at all.
-        if cause.name not in best or entry.gain > best[cause.name].gain:
+        # The probe that gains most stands for the cause: at another size a limit may have no signature at all, or one
+        # of rounding errors, whose gain means nothing.
+        if cause.name not in best or _rank(entry) > _rank(best[cause.name]):
             best[cause.name] = entry
     return sorted(best.values(), key=lambda entry: -entry.gain)
+
+
+def _rank(entry: Score) -> tuple[bool, float]:
+    return entry.testable, entry.gain
 
 
 def projections(
