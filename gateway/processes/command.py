@@ -177,7 +177,7 @@ class EmulatedLine(NamedTuple):
     served: Callable[[], bool]
 
 
-# Saves a quarter of the processor time of emulator and gateway.  Views collect samples for longer than 8 ms.
+# Saves nearly a quarter of the processor time of emulator and gateway.  Views collect samples for longer than 8 ms.
 _ADAPTER = ("--latency-timer", "8")
 
 
