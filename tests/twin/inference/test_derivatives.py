@@ -105,6 +105,8 @@ def test_a_run_with_the_gains_of_another_is_one_with_its_slopes(theta: Theta, sh
     by_slopes, by_gains = (criterion.changes(models, steps, run, [mode] * len(names)) for mode in (SLOPES, GAINS))
     criterion.close()
 
+    if share == 0.0:  # the paper's parameters change no covariance at all
+        assert np.array_equal(by_gains[:4, :, :2], by_slopes[:4, :, :2], equal_nan=True)
     for slopes, gains in zip(by_slopes, by_gains, strict=True):
         largest = np.nanmax(np.abs(slopes), axis=0)[:2]
         assert np.all(np.nan_to_num(np.abs(gains - slopes))[:, :2] <= tolerance * largest + 1e-9)
