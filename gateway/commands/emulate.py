@@ -72,8 +72,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--latency-timer", type=float, default=0.0, metavar="MS",
         help="the adapter of the line collects what a board sends for MS milliseconds of its time, and a command waits "
-        "as long: 8 saves nearly a quarter of the processor time of emulator and gateway, 16 is usual for USB adapters (default: 0, each tick "
-        "sends)",
+        "as long: 8 saves nearly a quarter of the processor time of emulator and gateway, 16 is usual for USB adapters "
+        "(default: 0, each tick sends)",
     )  # fmt: skip
     parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds of the boards' time")
     _add_deviations(parser)
