@@ -100,6 +100,7 @@ class BoardLine:
         self._ticks = 0
         self._rest = b""  # of the frame on the line
         self._collected = bytearray()  # sent, and not yet at the port
+        self._asks = True  # the port for bytes: until it has none, in ticks that run together
         self._output_fault = OutputFault.NONE
         self._plugged = True
         self._disconnected = False
@@ -148,6 +149,7 @@ class BoardLine:
 
         With a wrong clock each is none, one or two.
         """
+        self._asks = True
         for _ in range(ticks):
             if self._faults:
                 self._step_with_faults()
@@ -214,7 +216,10 @@ class BoardLine:
     def _receive(self, time_s: float) -> None:
         pacer = self._pacers["rx"]
         room = pacer.allow(T_S_US)
-        data = self.port.read(room) if room else b""
+        data = b""
+        if room and self._asks:
+            data = self.port.read(room)
+            self._asks = bool(data)
         pacer.spend(len(data), more=len(data) == room)
         data = self._wires["rx"].convey(data, time_s, self._faults)
         self._received += len(data)

@@ -25,7 +25,8 @@ from gateway.link.driver import BoardDriver
 from gateway.link.port import Port, PortProblem, open_port
 from gateway.link.sink import Reply
 
-POLL_S = 0.005  # largest delay of a time-out; the shortest configurable time-out is 20 ms
+POLL_S = 0.005  # the shortest time between two polls; the shortest configurable time-out is 20 ms
+IDLE_S = 1.0  # the longest
 # The shortest time between two rounds, so that a round of many boards finds several ready: one wake-up and one
 # hand-over for all of them.  A board alone needs none.
 ROUND_S = 0.00025
@@ -57,6 +58,7 @@ class LinkThread:
         self._wake_write.setblocking(False)
         self._selector.register(self._wake_read, selectors.EVENT_READ, None)
         self._actions: deque[Callable[[], None]] = deque()
+        self._due_s = 0.0  # the next poll
         self._closing: list[threading.Thread] = []
         self._stopping = False
         self._gate = threading.Lock()  # nobody writes to the closed socket
@@ -99,14 +101,11 @@ class LinkThread:
     # -- in the serial thread
 
     def _work(self) -> None:
-        next_poll_s = 0.0
         try:
             while not self._stopping:
-                pause_s = max(0.0, next_poll_s - time.monotonic())
-                began_s = self._round(pause_s)
+                began_s = self._round(max(0.0, self._due_s - time.monotonic()))
                 now_s = time.monotonic()
-                if now_s >= next_poll_s:
-                    next_poll_s = now_s + POLL_S
+                if now_s >= self._due_s:
                     self._poll(now_s)
                 if len(self._lines) > 1 and (rest_s := began_s + ROUND_S - time.monotonic()) > 0:
                     time.sleep(rest_s)
@@ -149,15 +148,23 @@ class LinkThread:
             self._close(line, f"{line.port.name} is gone.")
 
     def _poll(self, now_s: float) -> None:
-        """Process what is due on all boards."""
+        """Process what is due on all boards, and plan the next poll."""
+        self._due_s = now_s + IDLE_S
         for line in self._lines:
-            driver = line.driver
             if line.port is None:
                 if not line.opening and now_s >= line.next_open_s:
                     self._begin_opening(line)
-                continue
-            if now_s >= driver.deadline_s:
-                self._attempt(line, "while something was due", driver.poll, now_s)
+            elif now_s >= line.driver.deadline_s:
+                self._attempt(line, "while something was due", line.driver.poll, now_s)
+            self._plan(line)
+        self._due_s = max(self._due_s, now_s + POLL_S)
+
+    def _plan(self, line: _Line) -> None:
+        """Let the next poll come in time for what is due on this board."""
+        if line.port is not None:
+            self._due_s = min(self._due_s, line.driver.deadline_s)
+        elif not line.opening:
+            self._due_s = min(self._due_s, line.next_open_s)
 
     def _run_actions(self) -> None:
         with contextlib.suppress(BlockingIOError):
@@ -177,6 +184,7 @@ class LinkThread:
         except Exception:
             _logger.exception("%s: %s", line.driver.config.name, doing)
             self._close(line, "An internal error; see the gateway's log.")
+        self._plan(line)
 
     # -- opening and closing
 
@@ -201,6 +209,7 @@ class LinkThread:
         line.next_open_s = now_s + line.driver.config.reconnect_s
         if isinstance(result, PortProblem):
             line.driver.port_absent(result.kind, result.text)
+            self._plan(line)
             return
         if self._stopping:
             result.close()
@@ -210,6 +219,7 @@ class LinkThread:
         self._selector.register(result.fd, selectors.EVENT_READ, line)
         line.driver.port_opened(result.name, now_s)
         self._write_output(line)
+        self._plan(line)
 
     def _close(self, line: _Line, text: str, *, severity: str = "warning") -> None:
         port, line.port = line.port, None

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from gateway.processes.command import ADAPTER
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
 from tests.harness.ports import free_endpoint
@@ -73,7 +74,7 @@ def line(tmp_path: Path) -> Iterator[Line]:
     tty = tmp_path / "tty"
     with ExitStack() as stack:
         services: list[list[object]] = [
-            ["emulate", "--pty", tty],
+            ["emulate", "--pty", tty, *ADAPTER],
             ["gateway", "--board", f"rig={tty}", "--listen", endpoint, "--log-dir", "logs"],
             ["twin", *line.bus(), "--diagnosis-after", "2"],
         ]

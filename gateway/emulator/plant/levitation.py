@@ -13,7 +13,7 @@ Rule 3: the plant never prints or logs its effects: they may be secret.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 
 import numpy as np
@@ -24,6 +24,7 @@ from gateway.emulator.plant.physics import Constants, PlantState, advance, readi
 from protocol.errors import UsageError
 
 STEP_S = 20e-6  # divides the tick (2 ms) and the capture period (40 us)
+_DRAWN = 64  # pairs of noise at a time
 NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
 
 
@@ -48,7 +49,7 @@ class EmulatedPlant:
         self.step_s = step_s
         # Two generators, not one: a lost frame would otherwise change all noise after it.
         noise, loss = np.random.SeedSequence(seed).spawn(2)
-        self._noise = np.random.default_rng(noise)
+        self._noise = _pairs(np.random.default_rng(noise))
         self._loss = np.random.default_rng(loss)
         self._steps = 0
         length = round(MAX_DELAY_S / step_s) + 1
@@ -133,22 +134,38 @@ class EmulatedPlant:
             raise UsageError(problem, remedy=f"Give a number of volts and a multiple of {self.step_s:g} s")
         u = min(max(float(u_v), 0.0), self.rig.input_max_v)
         self._state = PlantState(
-            *advance(self._state, self._steps, count, self.step_s, u, self._constants, self._inputs, self._sensed)
+            *advance(
+                tuple(self._state),
+                self._steps,
+                count,
+                self.step_s,
+                u,
+                tuple(self._constants),
+                self._inputs,
+                self._sensed,
+            )
         )
         self._steps += count
 
     def sense(self) -> tuple[float, float]:
         """Return the current sensor readings (i_c in A, x in m), with effects and new noise."""
-        i, x = self._sensed[(self._steps - self._sensing_delay) % len(self._sensed)]
-        noise = self._noise.standard_normal(2)
+        row = (self._steps - self._sensing_delay) % len(self._sensed)
+        i, x = self._sensed.item(row, 0), self._sensed.item(row, 1)
+        noise_i, noise_x = next(self._noise)
         return (
-            float(self._current_gain * i + self._current_offset + self.rig.current_noise_a * noise[0]),
-            float(x + self.rig.position_noise_m * noise[1]),
+            self._current_gain * i + self._current_offset + self.rig.current_noise_a * noise_i,
+            x + self.rig.position_noise_m * noise_x,
         )
 
     def drop_sample(self) -> bool:
         """Return whether the state frame of this tick is lost (effect lost-samples); call it once per frame."""
-        return bool(self._loss.random() < self._loss_probability)
+        return self._loss_probability > 0.0 and self._loss.random() < self._loss_probability
+
+
+def _pairs(generator: np.random.Generator) -> Iterator[list[float]]:
+    """Yield pairs of normal numbers: those that single draws would give, in a fraction of their time."""
+    while True:
+        yield from generator.standard_normal((_DRAWN, 2)).tolist()
 
 
 def _constants(rig: PlantConstants, strength: Mapping[str, float], step_s: float) -> Constants:

@@ -27,12 +27,14 @@ import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
+from typing import Any, NamedTuple, ParamSpec, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+# tuple(of a NamedTuple): a call into compiled code reads a NamedTuple by its names, which takes longer than a tick.
+Packed: TypeAlias = tuple[Any, ...]
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -268,35 +270,35 @@ def step(y: PlantState, t: float, h: float, u: float, c: Constants) -> PlantStat
 
 @_compiled
 def advance(
-    y: PlantState,
+    state: Packed,
     first: int,
     count: int,
     h: float,
     u: float,
-    c: Constants,
+    constants: Packed,
     inputs: FloatArray,
     sensed: FloatArray,
-) -> PlantState:
+) -> Packed:
     """Integrate `count` steps with the input u held from step number `first` on.
 
     Args:
-        y: State at the start of step `first`.
+        state: tuple(PlantState) at the start of step `first`.
         first: Steps done since time 0.
         count: Steps to do.
         h: Step, s.
         u: Input, V, already within the amplifier's range.
-        c: Constants.
+        constants: tuple(Constants).
         inputs: Ring of past inputs in V, shape (n,), entry k mod n belongs to step k; n > input_delay.  Updated.
         sensed: Ring of sensor outputs before noise, shape (n, 2): i_c in A, x in m after step k - 1.  Updated.
 
     Returns:
-        State after the last step.
+        tuple(PlantState) after the last step.
     """
-    n = inputs.shape[0]
+    y, c, n = PlantState(*state), Constants(*constants), inputs.shape[0]
     for k in range(first, first + count):
         inputs[k % n] = u
         # k h, not a running sum: its rounding would depend on how a span is cut into calls.
         y = step(y, k * h, h, float(inputs[(k - c.input_delay) % n]), c)
         sensed[(k + 1) % n, 0] = y.i
         sensed[(k + 1) % n, 1] = y.s
-    return y
+    return y.i, y.f, y.x, y.v, y.w, y.s

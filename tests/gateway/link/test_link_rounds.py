@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,20 @@ from gateway.link.clock import HostClock
 from gateway.link.driver import BoardDriver
 from gateway.link.io_thread import LinkThread
 from tests.harness.gateway.gateway_peers import Collector, ScriptedBoard, wait_for
+
+
+def test_the_thread_sleeps_until_something_is_due(tmp_path: Path) -> None:
+    config = BoardConfig(name="rig", port=str(tmp_path / "absent"), reconnect_s=0.2)
+    driver, rounds, attempts = BoardDriver(config, Collector(), HostClock()), list[float](), list[str]()
+    driver.port_absent = lambda kind, text: attempts.append(kind)  # type: ignore[method-assign]
+    link = LinkThread([driver], lambda: rounds.append(time.monotonic()))
+    link.start()
+    try:
+        wait_for(lambda: len(attempts) > 5, "attempts")
+    finally:
+        link.stop()
+
+    assert len(rounds) <= 3 * len(attempts) + 2  # it is due, the port is opened or not
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -13,6 +13,7 @@ from playwright.sync_api import Page as Tab
 
 from gateway.access.roles import Role
 from gateway.access.users import User, set_token
+from gateway.processes.command import ADAPTER
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
 from protocol.log.reader import read
@@ -34,7 +35,7 @@ class Plant:
     def __init__(self, folder: Path, stack: ExitStack) -> None:
         self.folder, self.keys, self._stack = folder, made_folder(folder / "keys"), stack
         self.endpoint, self.port = f"tls/127.0.0.1:{free_port()}", free_port()
-        emulator = stack.enter_context(Process(folder, "emulate", "--pty", str(folder / "tty")))
+        emulator = stack.enter_context(Process(folder, "emulate", "--pty", str(folder / "tty"), *ADAPTER))
         emulator.wait_for_words("tty")
         words = ("--board", f"rig={folder / 'tty'}", "--listen", self.endpoint, "--security", str(self.keys.path))
         self.gateway = Process(folder, "gateway", *words, "--log-dir", str(folder / "logs"))

@@ -16,6 +16,7 @@ import pytest
 from gateway.access.folder import SecurityFolder
 from gateway.access.roles import Role, may
 from gateway.access.users import User
+from gateway.processes.command import ADAPTER
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.npm import installed
 from tests.harness.ports import free_port
@@ -56,7 +57,7 @@ def plant(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plan
     """`board51 emulate` and `board51 gateway --opcua --security`, as a user starts them."""
     folder = tmp_path_factory.mktemp("opcua")
     with ExitStack() as stack:
-        run(stack, folder, "emulate", "--pty", str(folder / "tty"))
+        run(stack, folder, "emulate", "--pty", str(folder / "tty"), *ADAPTER)
         wait_for((folder / "tty").exists, "pty", 30.0)
         plant = served(stack, folder, node)
         mode = board51("send", "rig1", "mode", "closed-loop", "--connect", plant.bus, "--identity",

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from gateway.processes.command import ADAPTER
 from tests.harness.gateway.hmi_peers import Process, hmi
 from tests.harness.ports import free_port
 
@@ -47,7 +48,7 @@ def emulated_rig(folder: Path, *emulator: str, config: Path | None = None) -> It
         config: Of the gateway; its board is named `rig`.
     """
     with ExitStack() as stack:
-        process = stack.enter_context(Process(folder, "emulate", "--pty", str(folder / "tty"), *emulator))
+        process = stack.enter_context(Process(folder, "emulate", "--pty", str(folder / "tty"), *ADAPTER, *emulator))
         process.wait_for_words("tty")
         yield Rig(folder, process, stack, config=config)
 

@@ -113,9 +113,7 @@ class Watched:
             return None
         if output.state is not None:
             self._batch.states.append(output.state)
-            self._publish_tick("twin/state", output.state)
         self._batch.divergences.append(output.divergence)
-        self._publish_tick("twin/divergence", output.divergence)
         for alarm in output.alarms:
             if alarm.active and alarm.threshold_on:  # the model is in doubt, not the line
                 alarm.text += f" under the model {self.belief.model.name}"
@@ -129,7 +127,12 @@ class Watched:
         return output
 
     def send_batch(self) -> None:
-        """Publish the answers since the last call together."""
+        """Publish the answers since the last call together, and each by itself where somebody subscribes to that."""
+        for topic, answers in (("twin/state", self._batch.states), ("twin/divergence", self._batch.divergences)):
+            # Most subscribers take the batch: a message for each tick would wake up each of them 500 times a second.
+            if has_subscriber(self._publishers[topic]):
+                for answer in answers:
+                    self._publish(topic, answer)
         self._publish("twin/states", self._batch)
         self._batch = pb.TwinBatch()
 
@@ -213,11 +216,6 @@ class Watched:
         self._publish("twin/alarm", alarm)
         if (answered := self._request.take_alarm(alarm)) is not None:
             self._alarm(answered)
-
-    def _publish_tick(self, topic: str, message: Message) -> None:
-        # Most subscribers take the batch: a message for each tick would wake up each of them 500 times a second.
-        if has_subscriber(self._publishers[topic]):
-            self._publish(topic, message)
 
     def _publish(self, topic: str, message: Message) -> None:
         self._publishers[topic].put(message.SerializeToString())
