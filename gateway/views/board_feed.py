@@ -9,7 +9,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
@@ -83,6 +83,7 @@ class BoardFeed:
         self._period_s = 0.0
         self._first_s = now_s()
         self._back_s = self._first_s  # the gateway came, or came back
+        self._heard_s = -math.inf  # when its newest message came
         self.stopped_s = -math.inf  # when the last STOP was seen, whoever sent it
 
     def latest(self, message: type[M]) -> M | None:
@@ -102,7 +103,7 @@ class BoardFeed:
         limit_s = max(SILENT_S, 3.0 * self._period_s)
         if age_s < limit_s and self.alive:
             return Link(state="live", reason="", age_s=age_s)
-        if min(self.age_s(kind) for kind in _OF_GATEWAY) > GATEWAY_S:
+        if self._now_s() - self._heard_s > GATEWAY_S:
             return Link(state="no-gateway", reason="Nothing arrives from the gateway.", age_s=age_s)
         word = "connecting" if status is None else status.link
         if word == "streaming":  # of a status before the loss
@@ -154,11 +155,14 @@ class BoardFeed:
         with self._lock:
             return tuple(self._commands)
 
-    def tap(self, message: type[Message], *, width_s: float) -> TopicBins:
-        """Return bins of pb.State, pb.TwinState or pb.Divergence; `width_s` is rounded to whole ticks, at least 1."""
+    def tap(self, message: type[Message], *, width_s: float, channels: Sequence[str] = ()) -> TopicBins:
+        """Return bins of pb.State, pb.TwinState or pb.Divergence, of all channels or of two and more.
+
+        `width_s` is rounded to whole ticks, at least 1.
+        """
         parameters = self.latest(pb.Parameters)
         period_s = parameters.sample_time_s if parameters is not None and parameters.sample_time_s >= 1e-6 else 2e-3
-        tap = TopicBins(message, max(1, round(width_s / period_s)), self._lock)
+        tap = TopicBins(message, max(1, round(width_s / period_s)), self._lock, channels)
         self.attach(message, tap)
         return tap
 
@@ -181,11 +185,13 @@ class BoardFeed:
 
     def take(self, message: Message, now_ns: int) -> None:
         """Process one message from the bus; the caller holds the feed's lock."""
-        name = message.DESCRIPTOR.full_name
-        if isinstance(message, _OF_GATEWAY) and min(self.age_s(kind) for kind in _OF_GATEWAY) > GATEWAY_S:
-            self._back_s = self._now_s()  # with whichever comes first: status follows a sample by up to a second
+        name, now_s = message.DESCRIPTOR.full_name, self._now_s()
+        if isinstance(message, _OF_GATEWAY):
+            if now_s - self._heard_s > GATEWAY_S:
+                self._back_s = now_s  # with whichever comes first: status follows a sample by up to a second
+            self._heard_s = now_s
         self._latest[name] = message
-        self._at_s[name] = self._now_s()
+        self._at_s[name] = now_s
         for tap in self._taps.get(name, ()):
             tap.push(message)
         if isinstance(message, pb.State):
@@ -224,7 +230,7 @@ class BoardFeed:
 
     def is_unseen(self) -> bool:
         """Return whether nothing has come from the gateway for UNSEEN_S."""
-        return min(self.age_s(kind) for kind in _OF_GATEWAY) > UNSEEN_S
+        return self._now_s() - self._heard_s > UNSEEN_S
 
     def _apply_command(self, record: pb.CommandRecord) -> None:
         if record.command.WhichOneof("what") == "stop":

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
@@ -41,10 +41,13 @@ class TopicBins:
         message: type of the topic's messages.
         width_ticks: of a bin; 1 or more.
         lock: held by the caller of `push`.
+        channels: two or more floating-point values of the message; by default all of them.
     """
 
-    def __init__(self, message: type[Message], width_ticks: int, lock: threading.Lock) -> None:
-        self.channels = tuple(_doubles(message.DESCRIPTOR))
+    def __init__(
+        self, message: type[Message], width_ticks: int, lock: threading.Lock, channels: Sequence[str] = ()
+    ) -> None:
+        self.channels = tuple(channels) or tuple(_doubles(message.DESCRIPTOR))
         self._values = attrgetter(*self.channels)
         optional = {field.name for field in message.DESCRIPTOR.fields if field.has_presence}
         self._optional = [n for n, name in enumerate(self.channels) if name in optional]

@@ -18,6 +18,8 @@ import math
 from collections import deque
 from collections.abc import Callable
 
+from google.protobuf.message import Message
+
 from gateway.views.board_feed import BoardFeed
 from gateway.views.decimate import Bin, TopicBins
 from protocol.bus import board51_pb2 as pb
@@ -29,6 +31,13 @@ SPARK_S, SPARK_STEP_S = 30.0, 0.2  # of the overview, whose frames come as often
 COARSE_S, LONGEST_S = 2.0, 600.0  # of what is older; static/history.js makes the same of rows that grow old there
 
 Row = list[object]
+
+# What rows show.  Whether or not somebody looks, the last seconds are there: other channels would double the work.
+_CHANNELS: dict[type[Message], tuple[str, ...]] = {
+    pb.State: ("x_m", "x_ref_m", "i_c_a", "u_c_v"),
+    pb.TwinState: ("x_m", "i_c_a"),
+    pb.Divergence: ("x_m.normalised", "nis_mean"),
+}
 
 
 class Traces:
@@ -46,7 +55,9 @@ class Traces:
         if not self._taps:
             if self.board.latest(pb.State) is None:
                 return
-            self._taps = [self.board.tap(kind, width_s=BIN_S) for kind in (pb.State, pb.TwinState, pb.Divergence)]
+            self._taps = [
+                self.board.tap(kind, width_s=BIN_S, channels=channels) for kind, channels in _CHANNELS.items()
+            ]
         states, twins, divergences = (tap.take() for tap in self._taps)
         for made, bins in ((_state, states), (_twin, twins), (_divergence, divergences)):
             for closed in bins:
