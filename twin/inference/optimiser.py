@@ -123,7 +123,9 @@ def climb(
         slopes, step, decrement = _next_step(surface, point, outputs, free, slopes, damping.value)
         if decrement < tolerance or (slow >= patience and decrement < SLOW_TOLERANCE) or slow >= 2 * patience:
             break
-        trial = shortened(surface.plant, point, free, step)
+        step = limited(free, step)
+        promised = float(step @ (slopes.score - 0.5 * slopes.fisher @ step))
+        trial = _after(surface.plant, point, free, step)
         value, trial_outputs = surface.visit(trial)
         # Equal values count as progress: along a flat direction rounding decides, and a rejection only adds damping.
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
@@ -133,7 +135,7 @@ def climb(
             # Also by what the step gained: along a limit of the steps each gains more than its slope promised.
             if value + settings.GOAL_REACH * max(0.5 * decrement**2, gain) < goal:
                 break
-            damping.accepted()
+            damping.accepted(gain / promised if promised > 0.0 else 0.0)
             slopes = surface.slopes(point, outputs, free, slopes, decrement)
         # Before a step is blamed, its derivatives are: old or approximate ones may point the wrong way.
         elif not (slopes.fresh and slopes.exact):
@@ -168,13 +170,22 @@ def _next_step(
 
 def shortened(plant: Plant, point: Theta, free: Sequence[str], step: FloatArray) -> Theta:
     """The point after a step, shortened to the largest that is allowed."""
+    return _after(plant, point, free, limited(free, step))
+
+
+def limited(free: Sequence[str], step: FloatArray) -> FloatArray:
+    """Return a step, shortened to the largest that is allowed, shape (count,)."""
     # One factor shortens the step of all physical parameters, which keeps its direction.  The likelihood is flat in a
     # noise level near its floor, so its step can be arbitrarily large: noise levels are limited separately.
     limits = np.array([max_step(name) for name in free])
     physics = np.array([name not in NOISES + COLOURS for name in free], np.bool_)
     shorter = min([1.0, *(limits / np.maximum(np.abs(step), 1e-300))[physics]])
-    for name, change in zip(free, np.where(physics, step * shorter, np.clip(step, -limits, limits)), strict=True):
-        point = moved(point, name, float(change), plant)
+    return np.where(physics, step * shorter, np.clip(step, -limits, limits))
+
+
+def _after(plant: Plant, point: Theta, free: Sequence[str], step: FloatArray) -> Theta:
+    for name, change in zip(free, step.tolist(), strict=True):
+        point = moved(point, name, change, plant)
     return point
 
 
@@ -234,16 +245,27 @@ def covariance_of(fisher: FloatArray, active: NDArray[np.bool_]) -> FloatArray:
 
 
 class Damping:
-    """Levenberg's damping: reduced after each accepted step, increased after each rejected one."""
+    """Levenberg's damping: reduced where a step gains what its parabola promises, increased where it gains far less.
+
+    The shares are those of R. Fletcher, A modified Marquardt subroutine for nonlinear least squares, AERE-R 6799, 1971.
+    After a rejected step it stays for a step, as a smaller one has just failed: along a curved valley every third or
+    fourth step would fail otherwise.
+    """
 
     def __init__(self) -> None:
         self.value = 1e-3
+        self._stays = False
 
-    def accepted(self) -> None:
-        """Reduce the damping after an accepted step."""
-        self.value = max(self.value * 0.1, 1e-9)
+    def accepted(self, share: float) -> None:
+        """Adapt the damping to an accepted step, which gained this share of what was promised."""
+        if share < 0.25:
+            self.value *= 10.0
+        elif share > 0.75 and not self._stays:
+            self.value = max(self.value * 0.1, 1e-9)
+        self._stays = False
 
     def rejected(self) -> bool:
         """Increase the damping after a rejected step; returns whether to try another step."""
-        self.value = max(self.value, 1e-4) * 10.0
+        self.value *= 10.0
+        self._stays = True
         return self.value <= 1e8

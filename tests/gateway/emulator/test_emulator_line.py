@@ -25,7 +25,7 @@ class Wire:
         self.from_board: list[bytes] = []
         self.opened: list[bool] = []  # renamed or not
         self.is_open = False
-        self.asked = 0
+        self.reads = 0
 
     @property
     def url(self) -> str:
@@ -42,7 +42,7 @@ class Wire:
         return self.is_open
 
     def read(self, limit: int) -> bytes:
-        self.asked += 1
+        self.reads += 1
         data, self.to_board = self.to_board[:limit], self.to_board[limit:]
         return data
 
@@ -132,12 +132,12 @@ def test_ticks_that_run_together_ask_a_silent_host_once() -> None:
     line, wire, _ = on_a_line()
 
     line.step(4)
-    asked_silent = wire.asked
+    reads_of_silence = wire.reads
     wire.to_board = frame("HELLO", id=1, session=1, version_min=1, version_max=1) * 4
     line.step(4)
 
-    assert asked_silent == 1
-    assert wire.asked == 1 + 3  # two ticks carry them, and then there is none
+    assert reads_of_silence == 1
+    assert wire.reads == 1 + 3  # two ticks carry them, and then there is none
     assert not wire.to_board
 
 
