@@ -26,6 +26,7 @@ from twin.settings import diagnosis as settings
 SLOW_TOLERANCE = 0.3  # decrement, standard errors, that suffices if convergence is slow: 0.05 of log-likelihood is left
 CLOSE = 3.0  # decrement, standard errors, below which exact derivatives are used
 _LITTLE = 0.05  # of log-likelihood: a pass that gains less counts as slow
+_GROWTH = 4.0  # of the damping, after a step that failed or gained far less than it promised
 _NUDGE = 1e-3  # of a coordinate: test whether it is at its bound
 
 
@@ -248,24 +249,25 @@ class Damping:
     """Levenberg's damping: reduced where a step gains what its parabola promises, increased where it gains far less.
 
     The shares are those of R. Fletcher, A modified Marquardt subroutine for nonlinear least squares, AERE-R 6799, 1971.
-    After a rejected step it stays for a step, as a smaller one has just failed: along a curved valley every third or
-    fourth step would fail otherwise.
+    After a rejected step it stays for a step, as a smaller one has just failed, and rejections in a row increase it
+    ever faster (H. B. Nielsen, Damping parameter in Marquardt's method, IMM-REP-1999-05).  Reduced after each accepted
+    step, it would let every third or fourth step along a curved valley fail.
     """
 
     def __init__(self) -> None:
         self.value = 1e-3
-        self._stays = False
+        self._growth = _GROWTH
 
     def accepted(self, share: float) -> None:
         """Adapt the damping to an accepted step, which gained this share of what was promised."""
         if share < 0.25:
-            self.value *= 10.0
-        elif share > 0.75 and not self._stays:
-            self.value = max(self.value * 0.1, 1e-9)
-        self._stays = False
+            self.value *= _GROWTH
+        elif share > 0.75 and self._growth == _GROWTH:
+            self.value = max(0.2 * self.value, 1e-9)
+        self._growth = _GROWTH
 
     def rejected(self) -> bool:
         """Increase the damping after a rejected step; returns whether to try another step."""
-        self.value *= 10.0
-        self._stays = True
+        self.value *= self._growth
+        self._growth *= 2.0
         return self.value <= 1e8
