@@ -26,7 +26,6 @@ from twin.settings import diagnosis as settings
 SLOW_TOLERANCE = 0.3  # decrement, standard errors, that suffices if convergence is slow: 0.05 of log-likelihood is left
 CLOSE = 3.0  # decrement, standard errors, below which exact derivatives are used
 _LITTLE = 0.05  # of log-likelihood: a pass that gains less counts as slow
-_GROWTH = 4.0  # of the damping, after a step that failed or gained far less than it promised
 _NUDGE = 1e-3  # of a coordinate: test whether it is at its bound
 
 
@@ -124,9 +123,7 @@ def climb(
         slopes, step, decrement = _next_step(surface, point, outputs, free, slopes, damping.value)
         if decrement < tolerance or (slow >= patience and decrement < SLOW_TOLERANCE) or slow >= 2 * patience:
             break
-        step = limited(free, step)
-        promised = float(step @ (slopes.score - 0.5 * slopes.fisher @ step))
-        trial = _after(surface.plant, point, free, step)
+        trial = shortened(surface.plant, point, free, step)
         value, trial_outputs = surface.visit(trial)
         # Equal values count as progress: along a flat direction rounding decides, and a rejection only adds damping.
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
@@ -136,7 +133,7 @@ def climb(
             # Also by what the step gained: along a limit of the steps each gains more than its slope promised.
             if value + settings.GOAL_REACH * max(0.5 * decrement**2, gain) < goal:
                 break
-            damping.accepted(gain / promised if promised > 0.0 else 0.0)
+            damping.accepted()
             slopes = surface.slopes(point, outputs, free, slopes, decrement)
         # Before a step is blamed, its derivatives are: old or approximate ones may point the wrong way.
         elif not (slopes.fresh and slopes.exact):
@@ -171,22 +168,13 @@ def _next_step(
 
 def shortened(plant: Plant, point: Theta, free: Sequence[str], step: FloatArray) -> Theta:
     """The point after a step, shortened to the largest that is allowed."""
-    return _after(plant, point, free, limited(free, step))
-
-
-def limited(free: Sequence[str], step: FloatArray) -> FloatArray:
-    """Return a step, shortened to the largest that is allowed, shape (count,)."""
     # One factor shortens the step of all physical parameters, which keeps its direction.  The likelihood is flat in a
     # noise level near its floor, so its step can be arbitrarily large: noise levels are limited separately.
     limits = np.array([max_step(name) for name in free])
     physics = np.array([name not in NOISES + COLOURS for name in free], np.bool_)
     shorter = min([1.0, *(limits / np.maximum(np.abs(step), 1e-300))[physics]])
-    return np.where(physics, step * shorter, np.clip(step, -limits, limits))
-
-
-def _after(plant: Plant, point: Theta, free: Sequence[str], step: FloatArray) -> Theta:
-    for name, change in zip(free, step.tolist(), strict=True):
-        point = moved(point, name, change, plant)
+    for name, change in zip(free, np.where(physics, step * shorter, np.clip(step, -limits, limits)), strict=True):
+        point = moved(point, name, float(change), plant)
     return point
 
 
@@ -246,28 +234,16 @@ def covariance_of(fisher: FloatArray, active: NDArray[np.bool_]) -> FloatArray:
 
 
 class Damping:
-    """Levenberg's damping: reduced where a step gains what its parabola promises, increased where it gains far less.
-
-    The shares are those of R. Fletcher, A modified Marquardt subroutine for nonlinear least squares, AERE-R 6799, 1971.
-    After a rejected step it stays for a step, as a smaller one has just failed, and rejections in a row increase it
-    ever faster (H. B. Nielsen, Damping parameter in Marquardt's method, IMM-REP-1999-05).  Reduced after each accepted
-    step, it would let every third or fourth step along a curved valley fail.
-    """
+    """Levenberg's damping: reduced after each accepted step, increased after each rejected one."""
 
     def __init__(self) -> None:
         self.value = 1e-3
-        self._growth = _GROWTH
 
-    def accepted(self, share: float) -> None:
-        """Adapt the damping to an accepted step, which gained this share of what was promised."""
-        if share < 0.25:
-            self.value *= _GROWTH
-        elif share > 0.75 and self._growth == _GROWTH:
-            self.value = max(0.2 * self.value, 1e-9)
-        self._growth = _GROWTH
+    def accepted(self) -> None:
+        """Reduce the damping after an accepted step."""
+        self.value = max(self.value * 0.1, 1e-9)
 
     def rejected(self) -> bool:
         """Increase the damping after a rejected step; returns whether to try another step."""
-        self.value *= self._growth
-        self._growth *= 2.0
+        self.value = max(self.value, 1e-4) * 10.0
         return self.value <= 1e8
