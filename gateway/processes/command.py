@@ -177,7 +177,7 @@ class EmulatedLine(NamedTuple):
     served: Callable[[], bool]
 
 
-# An FTDI chip's latency timer as it is by default.  A board whose bytes come at once costs twice the processor time.
+# An FTDI chip's latency timer as it is by default.  The emulator needs less than half of the processor time with it.
 ADAPTER = ("--latency-timer", "16")
 
 

@@ -35,7 +35,7 @@ from protocol.wire.messages import Flag
 
 MAX_ALARMS, MAX_ENTRIES = 64, 200
 TWIN = "twin-gone"  # like LINK and LOG, a condition that the views judge themselves
-_FAULTY = int(Flag.FAULT)  # a Flag takes ten times as long, 500 times a second
+_FAULTY = int(Flag.FAULT)  # a Flag takes 2 us, this 0.1, 500 times a second
 _REFUSED_BOARD = frozenset({"version-mismatch", "wrong-board", "bad-identity"})  # end when samples come
 
 

@@ -80,3 +80,17 @@ def test_of_bins_that_nobody_takes_the_newest_remain() -> None:
         push(tap, tick, float(tick))
 
     assert [b.message.tick for b in tap.take()] == [*range(9, MAX_BINS + 9)]
+
+
+def test_bins_have_the_channels_that_a_reader_wants() -> None:
+    bins = TopicBins(pb.Divergence, 2, threading.Lock(), ("x_m.normalised", "nis_mean"))
+
+    for tick, (normalised, nis_mean) in enumerate([(1.0, 2.0), (-3.0, 4.0), (0.0, 0.0)]):
+        bins.push(
+            pb.Divergence(tick=tick, session=1, x_m=pb.SignalDivergence(normalised=normalised), nis_mean=nis_mean)
+        )
+
+    (closed,) = bins.take()
+    assert closed.low == {"x_m.normalised": -3.0, "nis_mean": 2.0}
+    assert closed.high == {"x_m.normalised": 1.0, "nis_mean": 4.0}
+    assert closed.last == {"x_m.normalised": -3.0, "nis_mean": 4.0}
