@@ -32,7 +32,7 @@ COARSE_S, LONGEST_S = 2.0, 600.0  # of what is older; static/history.js makes th
 
 Row = list[object]
 
-# What rows show.  Whether or not somebody looks, the last seconds are there: other channels would double the work.
+# What rows show.  The last seconds are kept whether or not somebody looks, so other channels would be work for nobody.
 _CHANNELS: dict[type[Message], tuple[str, ...]] = {
     pb.State: ("x_m", "x_ref_m", "i_c_a", "u_c_v"),
     pb.TwinState: ("x_m", "i_c_a"),
