@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from twin.model.causes import curve
 from twin.model.causes.catalogue import CATALOGUE, neutral
-from twin.model.extended import Base, acceleration, drive, position_reading
+from twin.model.extended import Base, acceleration, drive, position_of_reading, position_reading
 
 CE152 = Base(K_A=0.3, T_A=0.02, K_c=3e-6, b=0.02, mass_kg=0.0084, gravity_m_s2=9.81, x_max_m=6e-3, travel_m=5e-3)
 LOW, HIGH = 1e-3, 4e-3
@@ -30,6 +32,30 @@ def test_a_curve_is_the_b_spline_of_its_coefficients() -> None:
     values = [curve.value(having(curve.PULL_OVER_X, k), curve.PULL_OVER_X, x) for x in at]
 
     np.testing.assert_allclose(values, BSpline(knots, k, 3)(at), atol=1e-12)
+
+
+def test_the_slope_of_a_curve_is_that_of_its_b_spline() -> None:
+    k = np.random.default_rng(2).normal(size=curve.COEFFICIENTS)
+    knots = LOW + (HIGH - LOW) * np.arange(-6, curve.COEFFICIENTS + 4) / (curve.COEFFICIENTS - 3)
+    whole = BSpline(knots, np.pad(k, 3), 3).derivative()
+    knot = (HIGH - LOW) / (curve.COEFFICIENTS - 3)
+    at = np.linspace(LOW - 2.9 * knot, HIGH + 2.9 * knot, 101)
+
+    slopes = [curve.slope(having(curve.PULL_OVER_X, k), curve.PULL_OVER_X, x) for x in at]
+
+    np.testing.assert_allclose(slopes, whole(at), atol=1e-9 / (HIGH - LOW))
+    assert curve.slope(having(curve.PULL_OVER_X, k), curve.PULL_OVER_X, HIGH + 3.0 * knot) == 0.0
+    assert curve.slope(having(curve.PULL_OVER_X, k, 0.0, 0.0), curve.PULL_OVER_X, HIGH) == 0.0
+
+
+@given(
+    k=st.lists(st.floats(-0.06, 0.06), min_size=curve.COEFFICIENTS, max_size=curve.COEFFICIENTS),
+    share=st.floats(0.0, 1.0),
+)
+def test_the_reading_of_a_sensor_with_a_curve_is_undone(k: list[float], share: float) -> None:
+    c, x = having(curve.SENSOR_OVER_X, np.array(k)), share * CE152.travel_m
+
+    assert position_of_reading(CE152, c, position_reading(CE152, c, x, 0.6), 0.6) == pytest.approx(x, abs=1e-8)
 
 
 def test_outside_its_range_a_curve_fades_to_nothing_without_a_jump() -> None:

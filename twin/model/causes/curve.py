@@ -145,3 +145,26 @@ def value(c: Vector, curve: int, at: float) -> float:
         if 0 <= j < COEFFICIENTS:
             total += weights[n] * c[curve + 2 + j]
     return total / 6.0
+
+
+@inlined
+def slope(c: Vector, curve: int, at: float) -> float:
+    """The derivative of that curve by its quantity."""
+    low, high = c[curve], c[curve + 1]
+    if high <= low:
+        return 0.0
+    knots_per_unit = (COEFFICIENTS - 3) / (high - low)
+    s = (at - low) * knots_per_unit
+    if s <= -3.0 or s >= COEFFICIENTS:
+        return 0.0
+    first = math.floor(s)
+    f = s - first
+    r = 1.0 - f
+    # Twice the derivatives of the four B-splines by s.
+    weights = (-r * r, (3.0 * f - 4.0) * f, (4.0 - 3.0 * r) * r, f * f)
+    total = 0.0
+    for n in range(4):
+        j = int(first) + n
+        if 0 <= j < COEFFICIENTS:
+            total += weights[n] * c[curve + 2 + j]
+    return 0.5 * total * knots_per_unit
