@@ -145,6 +145,8 @@ def main() -> int:
     with atheris.instrument_imports(include=_SOURCE, exclude=_compiled_modules()):
         from tests.harness.fuzz_targets import TARGETS
 
+    if unknown := set(args.parsers) - set(TARGETS):
+        parser.error(f"no parser {', '.join(sorted(unknown))}; there are: {'; '.join(TARGETS)}")
     failed = False
     for name in args.parsers:
         with tempfile.TemporaryDirectory() as scratch:
