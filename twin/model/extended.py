@@ -217,7 +217,8 @@ def position_of_reading(p: Base, c: Vector, reading: float, i: float) -> float:
     x = reading
     # Newton without a test for convergence: a reading is near its position, and four steps cost the same each tick.
     for _ in range(4):
-        slope = position_sensor_nonlinearity.slope(c, x, p.travel_m) + p.travel_m * curve.slope(c, curve.SENSOR_OVER_X, x)
+        slope = position_sensor_nonlinearity.slope(c, x, p.travel_m)
+        slope += p.travel_m * curve.slope(c, curve.SENSOR_OVER_X, x)
         # A curve may be nearly level where a search has gone astray; a step along its tangent would lead far off.
         x -= (position_reading(p, c, x, i) - reading) / (c[position_sensor_gain.GAIN] * max(slope, _LEAST_SLOPE))
     return x
