@@ -117,7 +117,8 @@ class Kinds:
         return [answer.name for answer in self.answers]
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
 def test_the_same_commands_and_readings_give_the_same_frames(seed: int, small_core: Path) -> None:
     pair, script, chance = Pair(small_core), Script(seed), random.Random(seed)
     i = x = 512

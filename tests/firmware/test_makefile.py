@@ -33,12 +33,13 @@ def make(folder: Path, *words: str) -> str:
     return process.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("skip", "goal", "name"),
     [
         (skip_without_avr, "avr", "atmega328p"),
-        pytest.param(skip_without_avr, "avr", "magnetoshield", marks=pytest.mark.slow),
-        pytest.param(skip_without_sdcc, "mcs51", "aduc841", marks=pytest.mark.slow),
+        (skip_without_avr, "avr", "magnetoshield"),
+        (skip_without_sdcc, "mcs51", "aduc841"),
     ],
 )
 def test_an_image_by_make_is_that_by_python(skip: Callable[[], None], goal: str, name: str, tmp_path: Path) -> None:
@@ -56,6 +57,7 @@ def test_an_image_by_make_is_that_by_python(skip: Callable[[], None], goal: str,
     assert made == expected
 
 
+@pytest.mark.slow
 def test_the_library_builds_and_the_sanitizers_find_nothing(tmp_path: Path) -> None:
     skip_without_compiler()
 

@@ -81,6 +81,7 @@ def _programs() -> None:
         pytest.skip("s51 is not installed")
 
 
+@pytest.mark.slow
 def test_every_opcode_does_what_ucsim_does(external: bytes) -> None:
     chance = random.Random(51)
     cases = [a_case(chance, [opcode], 1) for opcode in range(256) if opcode != RESERVED for _ in range(2)]

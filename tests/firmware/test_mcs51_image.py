@@ -235,6 +235,7 @@ def test_the_emulated_board_in_program_memory_is_that_of_the_emulator() -> None:
 
 
 @pytest.mark.parametrize("baud", [57600, 230400])
+@pytest.mark.slow
 def test_the_uart_gets_the_divider_of_the_data_sheet(baud: int) -> None:
     board = Mcs51Board(Bench(), baud=baud)
     for _ in range(10):

@@ -30,6 +30,7 @@ def _compiled() -> None:
     skip_without_compiler()
 
 
+@pytest.mark.slow
 def test_a_minute_of_anything_gives_the_same_bytes() -> None:
     runs = [play(seed, MINUTE // 4) for seed in range(19, 23)]
 

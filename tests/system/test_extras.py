@@ -182,15 +182,16 @@ def test_every_command_that_needs_an_extra_is_tried_above() -> None:
     assert {words[0] for words, _ in WITHOUT} - {"gateway", "logs"} == set(board51.EXTRAS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("extra", "packages"),
     [
-        pytest.param("opcua", ["gateway.views.opcua"], marks=pytest.mark.slow),
+        ("opcua", ["gateway.views.opcua"]),
         ("web", ["gateway.views.hmi"]),
         ("emulator", ["gateway.emulator"]),
-        pytest.param("campaign", ["gateway.campaign"], marks=pytest.mark.slow),
-        pytest.param("export", ["gateway.record"], marks=pytest.mark.slow),
-        pytest.param("s3", ["gateway.record.archive"], marks=pytest.mark.slow),
+        ("campaign", ["gateway.campaign"]),
+        ("export", ["gateway.record"]),
+        ("s3", ["gateway.record.archive"]),
         ("twin", ["twin"]),
     ],
 )

@@ -24,6 +24,7 @@ COSTLY = {
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numpy, about absurd numbers
 @pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.slow
 def test_a_target_takes_its_seeds_and_changes_of_them(name: str, tmp_path: Path) -> None:
     target, chance, kinds = TARGETS[name], Random(name), list[str]()
     seeds = list(target.seeds(tmp_path))

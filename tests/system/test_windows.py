@@ -38,6 +38,7 @@ def board51(*words: str) -> subprocess.CompletedProcess[str]:
     return windows("-m", "board51", *words)
 
 
+@pytest.mark.slow
 def test_every_module_is_imported() -> None:
     process = windows(str(WINDOWS / "every_module.py"))
 

@@ -50,6 +50,7 @@ def sockets(pid: int) -> int:
     return count
 
 
+@pytest.mark.slow
 def test_others_get_their_frames_while_some_do_not_read(tmp_path: Path) -> None:
     with ExitStack() as stack:
         gateway = stack.enter_context(played_gateway())

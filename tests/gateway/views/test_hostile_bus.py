@@ -28,6 +28,7 @@ def test_a_view_makes_a_picture_of_whatever_comes(chance: Random) -> None:
 
 @fuzzed
 @given(chance=st.randoms(use_true_random=False))
+@pytest.mark.slow
 def test_opc_ua_sends_whatever_comes(chance: Random) -> None:
     serve(message(chance, usual) if chance.random() < 0.4 else usual for usual in USUAL)
 

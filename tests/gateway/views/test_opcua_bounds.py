@@ -36,6 +36,7 @@ class Deaf:
         pass
 
 
+@pytest.mark.slow
 def test_the_shortest_interval_and_the_longest_life_are_revised(server: Served) -> None:
     async def session_work() -> ua.CreateSubscriptionResult:
         async with peer(server.port) as client:

@@ -117,6 +117,7 @@ def test_a_disabled_condition_is_silent_until_it_is_enabled(server: Served) -> N
     assert remarks == [f"divergence-x {state} for OPC UA clients" for state in ("disabled", "enabled")]
 
 
+@pytest.mark.slow
 def test_only_who_may_disables_a_condition() -> None:
     async def session_work(server: Served) -> None:
         async with peer(server.port) as client:

@@ -106,6 +106,7 @@ def test_a_slow_item_is_told_of_a_loss_at_once(server: Served) -> None:
     asyncio.run(session_work())
 
 
+@pytest.mark.slow
 def test_the_text_of_a_refusal_goes_with_the_next_success() -> None:
     """For a subscriber, too, that came between the two, within one interval of the server."""
     path = "rig/last_command/text"

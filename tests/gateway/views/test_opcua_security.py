@@ -105,13 +105,9 @@ async def acts(client: Client) -> dict[str, int]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "policy",
-    [
-        SecurityPolicyBasic256Sha256,
-        pytest.param(SecurityPolicyAes128Sha256RsaOaep, marks=pytest.mark.slow),
-        pytest.param(SecurityPolicyAes256Sha256RsaPss, marks=pytest.mark.slow),
-    ],
+    "policy", [SecurityPolicyBasic256Sha256, SecurityPolicyAes128Sha256RsaOaep, SecurityPolicyAes256Sha256RsaPss]
 )
 def test_an_operator_comes_in_by_password_over_each_policy(plant: Plant, policy: type[SecurityPolicy]) -> None:
     async def session_work() -> dict[str, int]:

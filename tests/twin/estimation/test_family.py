@@ -26,6 +26,7 @@ def test_a_missing_test_counts_for_nothing() -> None:
     assert holm([math.nan, 0.03]) == [False, True]
 
 
+@pytest.mark.slow
 def test_two_equally_good_models_are_seldom_told_apart_in_any_of_fifty_groups() -> None:
     rng = np.random.default_rng(4)
     n, groups, trials = 25_000, 50, 60

@@ -33,6 +33,7 @@ def evidence_of(folder: Path) -> list[Evidence]:
     return [gather(read_campaign(campaign, use=use), campaign.plant) for use in ("fit", "judge")]
 
 
+@pytest.mark.slow
 def test_white_noise_stays_white(campaign: Path) -> None:
     assert colours_of(evidence_of(campaign)) == (None, None, None)
 

@@ -166,6 +166,7 @@ def test_a_sample_lost_at_rest_is_a_gap_only_where_u_c_changes() -> None:
     assert (split[[600, 601, 602]] & FOLLOWS != 0).all()
 
 
+@pytest.mark.slow
 def test_lost_samples_hide_no_ball_at_rest_from_the_measurement_of_noise() -> None:
     rests = at_rest(60.0)
 

@@ -111,6 +111,7 @@ def test_the_next_cause_decides_between_candidates_that_gain_nearly_as_much(lead
 
 
 @pytest.mark.parametrize(("share", "selected"), [(0.0, "current-sensor-offset"), (1.0, "actuation-delay")])
+@pytest.mark.slow
 def test_a_forward_step_asks_for_the_next_cause_of_all_leaders(
     share: float, selected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

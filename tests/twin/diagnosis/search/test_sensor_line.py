@@ -91,6 +91,7 @@ def test_the_filter_takes_the_line_out_and_predicts_it() -> None:
     assert blind_m > 1.5 * rmse_m
 
 
+@pytest.mark.slow
 def test_no_line_is_found_in_a_hundred_flights_without_one() -> None:
     for seed in range(50):
         with campaign(QUIET, seconds=2.0, seed=10 * seed) as criterion:
