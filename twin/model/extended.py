@@ -63,7 +63,6 @@ X_LINES = I_LINES + 2 * HARMONICS
 STATES = X_LINES + 2 * HARMONICS
 INSTANT_S = 1e-9  # a shorter interval is a rounding error
 GAP_MIN_SHARE = 0.01  # of the travel: smallest gap at which (3) is evaluated
-_LEAST_SLOPE = 0.2  # of the position sensor, where its reading is undone
 
 
 class Base(NamedTuple):
@@ -219,8 +218,7 @@ def position_of_reading(p: Base, c: Vector, reading: float, i: float) -> float:
     for _ in range(4):
         slope = position_sensor_nonlinearity.slope(c, x, p.travel_m)
         slope += p.travel_m * curve.slope(c, curve.SENSOR_OVER_X, x)
-        # A curve may be nearly level where a search has gone astray; a step along its tangent would lead far off.
-        x -= (position_reading(p, c, x, i) - reading) / (c[position_sensor_gain.GAIN] * max(slope, _LEAST_SLOPE))
+        x -= (position_reading(p, c, x, i) - reading) / (c[position_sensor_gain.GAIN] * slope)
     return x
 
 
