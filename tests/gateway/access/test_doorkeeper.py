@@ -189,11 +189,11 @@ def test_the_work_for_a_command_does_not_grow_with_the_number_of_senders() -> No
         return counted["call"] + counted["c_call"]
 
     calls()  # ben is known from here on
-    alone = calls()
+    before = calls()
     for n in range(MAX_SENDERS - 1):
         authorizer.flooded(sender(name=f"eve{n}"), 0.0)
 
-    assert calls() == alone
+    assert calls() == before
 
 
 def test_the_board_limits_hold_behind_the_door() -> None:

@@ -20,6 +20,7 @@ from gateway.views.hmi.problems import REMEDIES
 from gateway.views.hmi.starts import STARTS
 from protocol.checked import keys_of, plain_of
 from protocol.wire.messages import Reason
+from tests.harness.sources import parsed
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +93,7 @@ def test_every_reason_for_a_refusal_of_a_command_has_a_remedy() -> None:
     reasons = {reason.name.lower().replace("_", "-") for reason in Reason}
     room = Path(gateway.__file__).parent
     for path in [*(room / "board").rglob("*.py"), *(room / "link").rglob("*.py"), *(room / "access").rglob("*.py")]:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Refusal":
                 first = node.args[0]
                 reasons |= {first.value} if isinstance(first, ast.Constant) and isinstance(first.value, str) else set()

@@ -13,9 +13,10 @@ from jinja2 import Environment, nodes
 
 from gateway.views import hmi
 from gateway.views.hmi.texts import FILE, text_of
+from tests.harness.sources import parsed
 
 HMI = Path(hmi.__file__).parent
-PYTHON = {path.name: ast.parse(path.read_text(encoding="utf-8")) for path in HMI.rglob("*.py")}
+PYTHON = {path.name: parsed(path) for path in HMI.rglob("*.py")}
 HTML = [path.name for path in (HMI / "html").glob("*.py")]
 TEMPLATES = {path.name: Environment().parse(path.read_text(encoding="utf-8")) for path in (HMI / "html").glob("*.html")}
 SCRIPTS = {path.name: path.read_text(encoding="utf-8") for path in (HMI / "static").glob("*.js")}

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import ast
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from twin.model import integration
+from tests.harness.sources import trees
 from twin.model.causes import position_dependent_inductance, position_sensor_lag
 from twin.model.causes.catalogue import CATALOGUE, neutral
 from twin.model.causes.cause import NO_PLACE, Cause, Vector
@@ -17,7 +16,6 @@ from twin.model.extended import CORE, FIELD, I_C, I_SENSOR, RATE, SECOND, SENSOR
 from twin.model.integration import SLOW_SHARE, advance
 
 T_S, PIECES = 2e-3, 64
-TWIN = Path(integration.__file__).parents[1]
 POSITION_M = 6e-8
 CURRENT_A = 5e-5  # a fifth of a count of i_c in a recording (0.24 mA)
 
@@ -55,9 +53,9 @@ def test_the_current_of_a_moving_ball_follows_its_inductance(T_A: float) -> None
 def test_no_constant_of_python_says_whether_there_are_stops() -> None:
     """numba would compile the model once more for it, and whatever calls the model."""
     calls = [
-        f"{path.relative_to(TWIN)}:{node.lineno}"
-        for path in TWIN.rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        f"{path}:{node.lineno}"
+        for path, tree in trees("twin")
+        for node in ast.walk(tree)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
         if node.func.id in ("advance", "over", "propagate")
         if isinstance(node.args[-1], ast.Constant)

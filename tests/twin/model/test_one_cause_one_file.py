@@ -5,12 +5,14 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
+import pytest
+
+from tests.harness.sources import trees
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 
-ROOT = Path(__file__).parents[3]
-CAUSES = ROOT / "twin" / "model" / "causes"
+pytestmark = pytest.mark.xdist_group("sources")  # parsed once
+CAUSES = "twin/model/causes"
 # The equations of motion and the filters along them call the causes' kernels.
 PHYSICS = ("twin/model/", "twin/estimation/", "twin/mirror/observer.py")
 NAMED = re.compile(rf"\b({'|'.join(map(re.escape, BY_NAME))})\b")
@@ -19,9 +21,7 @@ ALLOWED = {(f"twin/mirror/{file}.py", "lost-samples") for file in ("mirror", "sa
 
 
 def sources() -> Iterator[tuple[str, ast.Module]]:
-    for path in sorted((ROOT / "twin").rglob("*.py")):
-        if not path.is_relative_to(CAUSES):
-            yield path.relative_to(ROOT).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+    return ((path, tree) for path, tree in trees("twin") if not path.startswith(CAUSES))
 
 
 def strings(tree: ast.Module) -> Iterator[str]:
@@ -76,13 +76,13 @@ def test_a_cause_adds_a_current_at_rest_where_points_of_rest_can_show_it() -> No
 def test_the_kernels_of_a_cause_become_part_of_the_step() -> None:
     """As calls they made it three times as long."""
     decorators = {
-        (path.name, decorator.id)
-        for path in CAUSES.glob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        (path, decorator.id)
+        for path, tree in trees(CAUSES)
+        for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef)
         for decorator in node.decorator_list
         if isinstance(decorator, ast.Name)
     }
 
-    assert ("core_saturation.py", "inlined") in decorators
+    assert (f"{CAUSES}/core_saturation.py", "inlined") in decorators
     assert {name for name, decorator in decorators if decorator == "kernel"} == set()
