@@ -41,7 +41,7 @@ def run(
     """The rows of the benchmark.
 
     Args:
-        runs: Cases; default 4.
+        runs: Cases, of a set that is there the first ones; default: 4, or all of such a set.
         seed: Of the set; a contest takes a secret one.
         part: causes | forms | nulls | outside | composites; default: a mix.
         out: Folder of the set and the answers: drawn if it is empty, else used as it is; default: deleted.
@@ -58,7 +58,7 @@ def run(
         folder = out or Path(scratch)
         if draw or not (folder / "manifest.json").exists():
             draw_set(folder, seed=seed or 0, count=runs or DEFAULT_RUNS, part=part, quick=bool(quick))
-        truths = load_truths(folder)
+        truths = load_truths(folder)[: runs or None]
         if draw:
             return []
         commands = _commands(entry or ENTRIES)

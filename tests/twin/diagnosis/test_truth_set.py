@@ -114,3 +114,5 @@ def test_a_set_is_answered_and_scored_from_end_to_end(drawn: Path, tmp_path: Pat
     # An answer is kept, and not asked for again.
     program.unlink()
     assert run(out=drawn, entry=[f"echo=python3 {program}"])[0]["value"] == 0.0
+    run(out=drawn, runs=1, entry=[f"echo=python3 {program}"], show=pages.append)
+    assert "1 cases" in pages[1]  # the first one of the set
