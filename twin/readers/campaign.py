@@ -167,7 +167,7 @@ def _numbers(column: object) -> FloatArray:
 
     assert isinstance(column, pa.ChunkedArray | pa.Array)
     if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
-        # Not `safe`: an integer above 2^53, as a time in ns since 1970 is, may be rounded to the next double.
+        # Not `safe`: an integer above 2^53, as a time in ns since 1970 is, may be rounded to the nearest double.
         return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=float)
     return np.array([_number(cell) for cell in column.to_pylist()], dtype=float)
 
