@@ -19,6 +19,7 @@ from twin.model.integration import advance
 
 RIG = Base(K_A=0.3, T_A=0.3e-3, K_c=6e-6, b=0.02, mass_kg=8.28e-3, gravity_m_s2=9.81, x_max_m=8.1e-3, travel_m=5.7e-3)
 WIDTH_A, TURN_A = 0.03, 0.1
+SHARPEST = next(shape for shape in loop.CAUSE.shapes if shape.name == "order").low
 currents = st.lists(st.floats(0.0, 1.2), min_size=2, max_size=20)
 
 
@@ -36,11 +37,11 @@ def follow_path(c: FloatArray, path: list[float], z: float = 0.0) -> float:
 
 @given(path=currents)
 def test_its_limit_is_a_play(path: list[float]) -> None:
-    c, field = having(0.0, 0.0, turn_a=WIDTH_A), path[0]
+    c, field = having(SHARPEST, 0.0, turn_a=WIDTH_A), path[0]
     for i in path[1:]:
         field = min(max(field, i - WIDTH_A), i + WIDTH_A)
 
-    assert loop.field(c, path[-1], follow_path(c, path)) == pytest.approx(field, abs=1e-9)
+    assert loop.field(c, path[-1], follow_path(c, path)) == pytest.approx(field, abs=0.01 * WIDTH_A)
 
 
 @pytest.mark.parametrize(("back", "weight"), [(0.0, 0.5), (1.0, 1.0)], ids=["Bouc-Wen", "Dahl"])
@@ -61,7 +62,11 @@ def test_of_first_order_it_is_the_equation_of_bouc_and_wen(
 
 
 @given(
-    order=st.floats(0.0, 2.0), back=st.floats(0.0, 1.0), path=currents, z=st.floats(-1.0, 1.0), part=st.floats(0.0, 1.0)
+    order=st.floats(SHARPEST, 2.0),
+    back=st.floats(0.0, 1.0),
+    path=currents,
+    z=st.floats(-1.0, 1.0),
+    part=st.floats(0.0, 1.0),
 )
 def test_it_depends_on_the_way_of_the_current_alone(
     order: float, back: float, path: list[float], z: float, part: float
@@ -74,10 +79,11 @@ def test_it_depends_on_the_way_of_the_current_alone(
     assert follow_path(c, [*path[:-1], between, path[-1]], z) == pytest.approx(end, abs=2e-6)
 
 
-def test_a_play_of_a_smooth_corner_is_nearly_that_of_a_sharp_one() -> None:
-    path = list(0.6 + 0.2 * np.sin(np.linspace(0.0, 12.0, 200)))
+def test_the_order_has_a_slope_down_to_its_smallest_value() -> None:
+    """Without one the prior alone would move it in a fit, and each such step would be rejected."""
+    sharp, rounder = (follow_path(having(order, 0.0), [0.5, 0.5 + TURN_A]) for order in (SHARPEST, SHARPEST + 1e-3))
 
-    assert follow_path(having(0.0101, 0.0), path) == pytest.approx(follow_path(having(0.0, 0.0), path), abs=0.01)
+    assert sharp - rounder > 1e-4
 
 
 def test_a_falling_ball_is_held_longer_by_the_current_that_came_from_above() -> None:

@@ -5,8 +5,8 @@
     on to the branch:     |z| = (1 - exp(-s^(1/n)))^n,  s = way of i since z = 0, in i_t
 
 z tells on which branch of its loop the iron is: 1 after a long rise of the current, -1 after a long fall.
-n = 1 and m = 0 is the loop of Bouc and Wen of order 1, n = m = 1 that of Dahl.  n = 0 with i_t = i_h is a play: the
-field waits until the current has come 2 i_h back.
+n = 1 and m = 0 is the loop of Bouc and Wen of order 1, n = m = 1 that of Dahl.  n = 0 with i_t = i_h would be a play:
+the field waits until the current has come 2 i_h back.  The smallest n rounds its corners by 0.005 i_h.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from twin.model.causes.instruments import OSCILLOSCOPE
 
 HALF_WIDTH, TURN, ORDER, BACK = 119, 120, 121, 122
 _SMALL = 1e-8
-_SHARP = 0.01  # of n: below it the corner of the loop is one of a play
+# Of n.  Below it the corner would hardly change, so only the prior would move n in a fit.
+_SHARPEST = 0.01
 _ON_THE_BRANCH = 1.0 - 1e-9
 
 CAUSE = Cause(
@@ -36,7 +37,7 @@ CAUSE = Cause(
             name="turn_a", symbol="i_t", unit="A", index=TURN, neutral=0.1, low=0.005, high=1.0, probes=(0.1,)
         ),
         CauseParameter(
-            name="order", symbol="n", index=ORDER, neutral=1.0, low=0.0, high=2.0, probes=(0.7,), spread=0.5
+            name="order", symbol="n", index=ORDER, neutral=1.0, low=_SHARPEST, high=2.0, probes=(0.7,), spread=0.5
         ),
         CauseParameter(name="back", symbol="m", index=BACK, low=0.0, high=1.0, probes=(0.3,), spread=0.5),
     ),
@@ -55,7 +56,7 @@ CAUSE = Cause(
         ),
         Form(
             name="play",
-            values={"order": 0.0},
+            values={"order": _SHARPEST},
             source="M. Krasnosel'skii, A. Pokrovskii, Systems with Hysteresis, 1989: play, with i_t = i_h",
             probed=True,
         ),
@@ -95,8 +96,6 @@ def turned(c: Vector, z: float, f: float, f_next: float) -> float:
             left = (left**power - power * way) ** (1.0 / power) if straight else left * math.exp(-way)
             return branch * (1.0 - left)
         way, level = way - back, 0.0
-    if c[ORDER] < _SHARP:
-        return branch * min(level + way, _ON_THE_BRANCH)
     return branch * _after(_since_zero(level, c[ORDER]) + way, c[ORDER])
 
 
