@@ -33,7 +33,7 @@ def _silent(_: str) -> None:
 
 
 def identify(
-    campaign: Campaign | Path | str, *, name: str = "", data: Path | None = None, progress: Progress = _silent
+    campaign: Campaign | Path | str, *, name: str = "", data: Path | str | None = None, progress: Progress = _silent
 ) -> Identified:
     """Identify K_A, T_A, K_c and b, and the noise levels, from the recordings with use = "fit".
 
@@ -55,7 +55,7 @@ def identify(
 
     if problem := name_problem(name):
         raise UsageError(f"--name {problem}", remedy=NAME_REMEDY)
-    result = pipeline.identify(_campaign(campaign), data=data, progress=progress)
+    result = pipeline.identify(_campaign(campaign), data=_path(data), progress=progress)
     model = replace(result.model, provenance={"name": name} | dict(result.model.provenance)) if name else result.model
     return Identified(model=model, usable=result.usable, warnings=result.warnings, details=result)
 
@@ -64,7 +64,7 @@ def validate(
     campaign: Campaign | Path | str,
     model: Model | Path | str,
     *,
-    data: Path | None = None,
+    data: Path | str | None = None,
     progress: Progress = _silent,
 ) -> Validated:
     """Validate a model on the recordings with use = "judge".
@@ -91,7 +91,7 @@ def validate(
     campaign, model = _campaign(campaign), _model(model)
     verdict.check_same_rig(campaign, model)
     progress("reading the recordings")
-    sources, messages = sources_of(campaign, model, data=data)
+    sources, messages = sources_of(campaign, model, data=_path(data))
     result = verdict.validate_sources(sources, model, messages=messages, progress=progress)
     progress("frequency responses")
     flown, _ = chosen([source for source in sources if source.record.kind == "closed-loop"])
@@ -108,7 +108,9 @@ def validate(
     )
 
 
-def bode(campaign: Campaign | Path | str, model: Model | Path | str, *, data: Path | None = None) -> FrequencyResponses:
+def bode(
+    campaign: Campaign | Path | str, model: Model | Path | str, *, data: Path | str | None = None
+) -> FrequencyResponses:
     """Compare a model with the frequency responses of a campaign's flights in closed loop.
 
     Args:
@@ -129,7 +131,7 @@ def bode(campaign: Campaign | Path | str, model: Model | Path | str, *, data: Pa
 
     campaign, model = _campaign(campaign), _model(model)
     check_same_rig(campaign, model)
-    sources, messages = sources_of(campaign, model, data=data, spare=True)
+    sources, messages = sources_of(campaign, model, data=_path(data), spare=True)
     flown = [source for source in sources if source.record.kind == "closed-loop"]
     return _answered(bode_of(flown, model, messages=messages))
 
@@ -138,7 +140,7 @@ def diagnose(
     campaign: Campaign | Path | str,
     *,
     model: Model | Path | str | None = None,
-    data: Path | None = None,
+    data: Path | str | None = None,
     quick: bool = False,
     share: float = MIN_SHARE,
     experiments: bool | None = None,
@@ -193,7 +195,7 @@ def diagnose(
         budget=None if budget is None else budget * MILLION,
         say=progress,
     )
-    return _diagnosed(campaign, options, data, where)
+    return _diagnosed(campaign, options, _path(data), where)
 
 
 def _check_options(share: float, budget: float | None, without: Sequence[str]) -> None:
@@ -243,7 +245,7 @@ def predict(
     *,
     horizon_samples: int = 10,
     campaign: Campaign | Path | str | None = None,
-    data: Path | None = None,
+    data: Path | str | None = None,
     board: str | None = None,
 ) -> Predicted:
     """Predict each reading of x from the readings up to N samples earlier and the measured u_c.
@@ -269,7 +271,7 @@ def predict(
     if horizon_samples < 1:
         raise UsageError(f"--horizon {horizon_samples}", remedy="Give a number of samples from 1")
     listed = None if campaign is None else _campaign(campaign)
-    record = read_flight(Path(recording), listed, data=data, board=board)
+    record = read_flight(Path(recording), listed, data=_path(data), board=board)
     result = prediction.predict(_model(model), record, horizon_samples)
     return Predicted(
         recording=record.name,
@@ -296,7 +298,7 @@ def design(
     u_max_v: float = 5.0,
     with_observer: bool = False,
     seed: int = 1,
-    before: Path | None = None,
+    before: Path | str | None = None,
 ) -> Designed:
     """Design LQI (eq. 16-19) or PID gains, and analyse the loop that the board will run.
 
@@ -335,7 +337,7 @@ def design(
         u_max_v=u_max_v,
         with_observer=with_observer,
         seed=seed,
-        before=None if before is None else read_controller(before),
+        before=None if before is None else read_controller(Path(before)),
     )
     return _designed(work.design(_model(model), specification))
 
@@ -360,6 +362,10 @@ def _answered(result: Bode) -> FrequencyResponses:
 
 def _campaign(campaign: Campaign | Path | str) -> Campaign:
     return campaign if isinstance(campaign, Campaign) else Campaign.load(campaign)
+
+
+def _path(path: Path | str | None) -> Path | None:
+    return None if path is None else Path(path)
 
 
 def _model(model: Model | Path | str) -> Model:

@@ -46,7 +46,7 @@ def diagnose_all(
     *,
     scheduler: str | None = None,
     processes: int = 2,
-    data: Path | None = None,
+    data: Path | str | None = None,
     progress: Callable[[str], None] = lambda line: None,
     **options: Any,
 ) -> list[Answer]:
@@ -69,17 +69,18 @@ def diagnose_all(
         ServiceError: the scheduler does not answer.
     """
     root, target = Path(folder).resolve(), Path(out).resolve()
+    shared = None if data is None else Path(data)
     if isinstance(model := options.get("model"), str) and Path(model).is_file():
         options["model"] = Path(model).resolve()  # the name of a shipped model stays
     places = {path.parent.relative_to(root).as_posix(): path for path in sorted(root.rglob("campaign.toml"))}
     if not places:
         raise UsageError(f"There is no campaign.toml below {root}", remedy="Give a folder of campaigns")
-    keys = {name: _key(path, data, options) for name, path in places.items()}
+    keys = {name: _key(path, shared, options) for name, path in places.items()}
     answers = {name: known for name, key in keys.items() if (known := _known(target / name, key)) is not None}
     if answers:
         progress(f"{len(answers)} of {len(places)} are answered already")
     open_names = [name for name in places if name not in answers]
-    tasks = [(name, str(places[name]), str(target / name), data, keys[name], options) for name in open_names]
+    tasks = [(name, str(places[name]), str(target / name), shared, keys[name], options) for name in open_names]
     with _client(scheduler, min(processes, len(tasks))) if tasks else nullcontext() as client:
         for answer in _completed(client, tasks) if client is not None else ():
             answers[answer.campaign] = answer

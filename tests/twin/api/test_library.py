@@ -86,6 +86,20 @@ def test_an_export_is_what_the_command_writes(model: Model, tmp_path: Path) -> N
     assert [path.read_bytes() for path in paths] == [(tmp_path / "command" / path.name).read_bytes() for path in paths]
 
 
+def test_the_folder_of_the_recordings_may_be_text_as_each_other_path(
+    folder: Path, model: Model, tmp_path: Path
+) -> None:
+    for name in ("campaign.toml", "rest.toml"):
+        (tmp_path / name).write_text((folder / name).read_text())
+    recording = Campaign.load(folder).recordings[0].file
+
+    diagnosed = diagnose(tmp_path / "rest.toml", data=str(folder))
+    predicted = predict(model, recording, campaign=tmp_path, data=str(folder))
+
+    assert diagnosed.verdict == diagnose(folder / "rest.toml").verdict
+    assert np.array_equal(predicted.x_hat_m, predict(model, folder / recording).x_hat_m, equal_nan=True)
+
+
 def test_a_model_is_what_the_command_writes(
     folder: Path, model: Model, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
