@@ -66,9 +66,6 @@ def run_on_a_hidden_campaign(tmp_path: Path, *arguments: str) -> tuple[subproces
 
 @pytest.mark.slow
 def test_diagnose_reads_nothing_but_the_campaign_folder(tmp_path: Path) -> None:
-    if not (ROOT / "twin" / "commands" / "diagnose.py").is_file():
-        pytest.skip("board51 diagnose is not there")
-
     child, leaked = run_on_a_hidden_campaign(
         tmp_path, "-m", "board51", "diagnose", "{campaign}", "--out", "{out}", "--quick"
     )
