@@ -37,11 +37,12 @@ def follow_path(c: FloatArray, path: list[float], z: float = 0.0) -> float:
 
 @given(path=currents)
 def test_its_limit_is_a_play(path: list[float]) -> None:
+    """But for its rounded corners: one costs 0.5 % of the width, ten in a row 1.8 %."""
     c, field = having(SHARPEST, 0.0, turn_a=WIDTH_A), path[0]
     for i in path[1:]:
         field = min(max(field, i - WIDTH_A), i + WIDTH_A)
 
-    assert loop.field(c, path[-1], follow_path(c, path)) == pytest.approx(field, abs=0.01 * WIDTH_A)
+    assert loop.field(c, path[-1], follow_path(c, path)) == pytest.approx(field, abs=0.03 * WIDTH_A)
 
 
 @pytest.mark.parametrize(("back", "weight"), [(0.0, 0.5), (1.0, 1.0)], ids=["Bouc-Wen", "Dahl"])

@@ -19,7 +19,8 @@ from twin.model.causes.instruments import OSCILLOSCOPE
 
 HALF_WIDTH, TURN, ORDER, BACK = 119, 120, 121, 122
 _SMALL = 1e-8
-# Of n.  Below it the corner would hardly change, so only the prior would move n in a fit.
+# Of n.  A sharper corner makes the likelihood less smooth.  A play as a case of its own would have no slope by n, and
+# the prior alone would move n in a fit.
 _SHARPEST = 0.01
 _ON_THE_BRANCH = 1.0 - 1e-9
 
