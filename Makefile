@@ -1,10 +1,10 @@
 # make setup | install | demo | test | test-slow | test-samples | soak | audit | mutants | check | docs | pictures | release | clean.
-# Everything lives in .venv, from requirements.lock.
+# Everything lives in .venv: what runs from requirements-run.lock, the tools of tests and docs from requirements.lock.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 PYTEST_ARGS ?=
-PIP_ARGS ?=
+RUNS      := $(VENV)/.from-run-lock
 INSTALLED := $(VENV)/.from-lock
 COMPILED  := $(VENV)/.compiled
 
@@ -20,15 +20,18 @@ unexport NUMBA_CACHE_DIR
 .PHONY: setup install demo test test-slow test-samples soak audit mutants check docs pictures release clean
 setup: $(COMPILED)
 
-$(COMPILED): $(INSTALLED)
+$(COMPILED): $(RUNS)
 	$(BIN)/board51 compile
 	@$(BIN)/board51 emulate --speed 0 --duration 0.1 --json >/dev/null  # compiles the emulated rig
 	@touch $@
 
 install: $(INSTALLED)
 
-# --require-hashes: what is installed is what was locked, byte for byte.
-$(INSTALLED): requirements.lock pyproject.toml
+# --require-hashes: what is installed is what was locked, byte for byte.  --no-compile: half of it is never imported, and
+# what is, Python compiles then.
+PIP_INSTALL := $(BIN)/pip install --disable-pip-version-check --quiet --no-compile
+
+$(RUNS): requirements-run.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "board51 needs Python 3.11 or newer; set PYTHON=/path/to/python3.11" >&2; exit 2; }
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { \
 	  echo "python3-venv is missing: installing it with apt-get"; \
@@ -36,8 +39,14 @@ $(INSTALLED): requirements.lock pyproject.toml
 	  elif command -v sudo >/dev/null; then sudo apt-get update -q && sudo apt-get install -y -q python3-venv; \
 	  else echo "run as root: apt-get install python3-venv" >&2; exit 2; fi; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --disable-pip-version-check --quiet $(PIP_ARGS) --require-hashes -r requirements.lock
-	$(BIN)/pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation -e .
+	$(PIP_INSTALL) --require-hashes -r requirements-run.lock
+	$(PIP_INSTALL) --no-deps --no-build-isolation -e .
+	@touch $@
+
+install: $(INSTALLED)
+
+$(INSTALLED): requirements.lock $(RUNS)
+	$(PIP_INSTALL) --require-hashes -r requirements.lock
 	@touch $@
 
 demo: setup
@@ -50,16 +59,16 @@ demo: setup
 WHICH ?= not slow and not sample
 PROCESSES ?= 4
 test-slow: WHICH = slow and not sample
-test test-slow: setup
+test test-slow: setup install
 	$(ALONE) $(BIN)/pytest -n $(PROCESSES) --dist loadgroup --no-loadscope-reorder $(PYTEST_ARGS) -m "$(WHICH)"
 
 # Before a release and after a change of the twin: coverage of intervals, rates of false alarms, more hidden
 # campaigns of each kind.
-test-samples: setup
+test-samples: setup install
 	$(ALONE) $(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) -m sample
 
 # Weeks of faults in ten minutes: SOAK_MINUTES, SOAK_BOARDS and SOAK_SEED are yours; tests/README.md says what it shows.
-soak: setup
+soak: setup install
 	$(ALONE) BOARD51_SOAK_MINUTES=$(or $(SOAK_MINUTES),10) BOARD51_SOAK_BOARDS=$(or $(SOAK_BOARDS),16) \
 	  BOARD51_SOAK_SEED=$(or $(SOAK_SEED),1) $(BIN)/pytest -n0 -s tests/system/test_soak.py
 
@@ -79,7 +88,7 @@ $(VENV)/audit/bin/pip-audit:
 	$(VENV)/audit/bin/pip install --disable-pip-version-check --quiet pip-audit==2.10.1
 
 # Half an hour: see tests/README.md.
-mutants: setup
+mutants: setup install
 	nice $(BIN)/mutmut run --max-children 1
 	$(BIN)/mutmut results
 
@@ -95,7 +104,7 @@ docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 # The pictures of README and docs, flown anew by the emulated rig; needs chromium-headless-shell or chromium, 4 minutes.
-pictures: setup
+pictures: setup install
 	$(ALONE) PYTHONPATH=$(CURDIR) $(BIN)/python .ci/pictures.py
 
 # Of the last commit, the same to the byte each time; CONTRIBUTING.md says what comes before and after.
