@@ -77,7 +77,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     noise_shows = min_noise(records) > converter_step(records)
     visible = [is_held & ~np.isin(record.x, blind) for record, is_held in zip(records, held, strict=True)]
     low, high = stop_readings(records, visible, plant, notes) if stops is None else stops
-    lifted = [_on_platform(record, is_held, low, plant) for record, is_held in zip(records, visible, strict=True)]
+    lifted = [_on_platform(record, is_held, low, blind, plant) for record, is_held in zip(records, held, strict=True)]
     if stops is None and any(lifted):
         # The resting places of a ball that was lifted off a platform are not stops of the other recordings.
         retained = [index for index, platform in enumerate(lifted) if not platform]
@@ -194,9 +194,14 @@ def _flag_rest(flags: NDArray[np.uint16], record: Record, on_stop: tuple[BoolArr
         flags[rests & ~cut] |= np.uint16(USE_X)
 
 
-def _on_platform(record: Record, is_held: BoolArray, low: float | None, plant: Plant) -> bool:
-    """Tell whether a sawtooth lifts the ball off a platform and not off the lower stop."""
-    return record.kind == "sawtooth" and not on_stops(record, is_held, low, None, plant)[0].any()
+def _on_platform(record: Record, is_held: BoolArray, low: float | None, blind: list[float], plant: Plant) -> bool:
+    """Tell whether a sawtooth lifts the ball off a platform and not off the lower stop.
+
+    A ball that rests below the range of its sensor (`blind`) is at the stop.
+    """
+    below = np.isin(record.x, [end for end in blind if end < 0.5 * plant.travel_m])
+    at_stop = on_stops(record, is_held & ~np.isin(record.x, blind), low, None, plant)[0] | (is_held & below)
+    return record.kind == "sawtooth" and not at_stop.any()
 
 
 def _until_lifted(flags: NDArray[np.uint16], series: Series, lifts_at: float) -> None:

@@ -349,3 +349,13 @@ def test_the_stops_are_where_the_sensor_shows_them(null: Path) -> None:
     assert plain.low_m == pytest.approx(0.0, abs=2e-5)
     assert displaced.low_m == pytest.approx(3e-4, abs=2e-5)
     assert gather(lifted, plant).low_m is None
+
+
+def test_a_ball_that_rests_beyond_the_range_of_its_sensor_lies_on_no_platform(null: Path) -> None:
+    """A sensor that reads 0.3 mm too low shows the end of its range, and no lift-off from there."""
+    campaign = load(null)
+    plant, records = campaign.plant, read_campaign(campaign)
+    beyond = gather([replace(record, x=np.maximum(record.x - 3e-4, -5e-5)) for record in records], plant)
+
+    assert beyond.statics == ()
+    assert beyond.low_m is None

@@ -259,9 +259,11 @@ def _refit_from(criterion: Criterion, selected: Trial, confounder: Trial) -> Tri
     # A part of the samples suffices to choose a start; the fit that follows uses all.
     start = substitute_start(criterion.thinner, selected.fit.theta, BY_NAME[selected.cause], BY_NAME[confounder.cause])
     start = replace(start, phases_s=confounder.fit.theta.phases_s)
-    if criterion.value(start) <= confounder.fit.loglik:
+    # The size is a guess that a few passes correct: a start need not beat the fit, only the model with neither cause.
+    if criterion.value(start) <= confounder.fit.loglik - confounder.gain:
         return confounder
-    fit = climb(criterion, start, confounder.fit.free)
+    lead = selected.gain - settings.EQUIVALENT_GAIN - confounder.gain
+    fit = climb(criterion, start, confounder.fit.free, goal=confounder.fit.loglik + lead)
     if fit.loglik <= confounder.fit.loglik:
         return confounder
     return replace(confounder, fit=fit, gain=confounder.gain + fit.loglik - confounder.fit.loglik)

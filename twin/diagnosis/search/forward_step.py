@@ -112,8 +112,9 @@ def _with_next(search: Search, floor: Floor, trials: list[Trial]) -> list[Trial]
     def with_next(trial: Trial) -> float:
         scores = screen(criterion, trial.fit.theta, trial.fit.free, search.candidates)
         following = max((score.gain - score.chance for score in scores if score.testable), default=0.0)
-        # A score is the gain of a parabola: no cause explains more than what is missing.
-        return trial.gain + min(following, floor.excess(trial.fit.loglik))
+        # A score is the gain of a parabola: no cause explains more than what is missing, and that may be a stop's place
+        # alone.
+        return trial.gain + min(following, max(floor.excess(trial.fit.loglik), 0.0))
 
     first = max(leaders, key=with_next)
     return [first, *(trial for trial in trials if trial is not first)]

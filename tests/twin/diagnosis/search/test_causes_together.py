@@ -16,7 +16,7 @@ from twin.diagnosis.search import forward_step as forward
 from twin.diagnosis.search import stepwise as search
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.diagnosis.search.candidate_starts import substitute_start
-from twin.diagnosis.search.equivalence import find_classes
+from twin.diagnosis.search.equivalence import _refit_from, find_classes
 from twin.diagnosis.search.score_test import probed
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.task import Search
@@ -110,6 +110,33 @@ def test_the_next_cause_decides_between_candidates_that_gain_nearly_as_much(lead
     assert sorted(trial.cause for trial in order) == [delay, offset]
 
 
+def test_a_candidate_that_leaves_less_than_noise_is_not_put_behind_for_that() -> None:
+    """Where only a stop is misplaced, log-likelihood beyond the floor once counted against the better fit."""
+    delay, offset = "actuation-delay", "current-sensor-offset"
+    criterion = criterion_of(narrow(strong(delay, 1e-3, strong(offset, 0.02)), seconds=3.0))
+    try:
+        base = fitted(criterion, THETA)
+        task = trusting(criterion, base, BY_NAME[offset])
+        fits = [
+            fitted(criterion, strong(cause, value, base.theta), cause)
+            for cause, value in ((offset, 0.02), (delay, 1e-3))
+        ]
+        worse, better = sorted(fits, key=lambda fit: fit.loglik)
+        trials = [Trial(cause="", fit=fit, gain=fit.loglik - base.loglik) for fit in (worse, better)]
+        trials = [
+            replace(trials[0], cause="quadratic-drag", gain=0.9 * trials[1].gain),
+            replace(trials[1], cause=delay),
+        ]
+        floor = replace(task.floor, logliks=(base.loglik, 0.0), misplaced_m=2.0 * settings.MISPLACED_STOP_M)
+        order = forward._with_next(task, floor, trials)
+    finally:
+        criterion.close()
+
+    assert floor.excess(worse.loglik) < 0.0
+    assert floor.material(better.loglik)
+    assert order[0].fit is better
+
+
 @pytest.mark.parametrize(("share", "selected"), [(0.0, "current-sensor-offset"), (1.0, "actuation-delay")])
 @pytest.mark.slow
 def test_a_forward_step_asks_for_the_next_cause_of_all_leaders(
@@ -170,6 +197,33 @@ def test_a_dead_zone_begins_with_the_size_of_the_offset_that_it_may_stand_for() 
 
     assert zone_start.value("amplifier-dead-zone.width_v") == pytest.approx(0.0611 / rig.K_A)
     assert back.value("amplifier-offset.offset_a") == pytest.approx(-0.0611)
+
+
+def test_a_candidate_is_fitted_again_from_a_start_that_is_worse_than_its_fit() -> None:
+    """An offset and a dead zone differ beside a drift of the gain: exchanged, they begin below a local maximum."""
+    zone, offset, drift = "amplifier-dead-zone", "amplifier-offset", "amplifier-gain-drift"
+    rig = strong(zone, 0.34, strong(drift, 0.08))
+    criterion = criterion_of(narrow(rig, seconds=6.0))
+    try:
+        none = fitted(criterion, strong(drift, 0.08), drift)
+        right = fitted(criterion, rig, zone, drift)
+        fit = fitted(criterion, strong(offset, -0.102, strong(drift, 0.08)), offset, drift)
+        selected = Trial(cause=offset, fit=fit, gain=fit.loglik - none.loglik)
+        start = substitute_start(criterion, fit.theta, BY_NAME[offset], BY_NAME[zone])
+        width = right.theta.value("amplifier-dead-zone.width_v")
+        stuck = right.theta.having("amplifier-dead-zone.width_v", 1.01 * width)
+        low = replace(right, theta=stuck, loglik=criterion.value(stuck))
+        again = _refit_from(criterion, selected, Trial(cause=zone, fit=low, gain=low.loglik - none.loglik))
+        hopeless = Trial(cause=zone, fit=low, gain=low.loglik - criterion.value(start))
+        unmoved = _refit_from(criterion, selected, hopeless)
+        begun = criterion.value(start)
+    finally:
+        criterion.close()
+
+    assert none.loglik < begun < low.loglik < fit.loglik - settings.EQUIVALENT_GAIN
+    assert again.fit.loglik > right.loglik - settings.EQUIVALENT_GAIN
+    assert again.gain == pytest.approx(again.fit.loglik - none.loglik)
+    assert unmoved is hopeless, "from a start that explains nothing no climb is made"
 
 
 @pytest.mark.sample
