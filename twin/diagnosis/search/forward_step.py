@@ -113,8 +113,8 @@ def _with_next(search: Search, floor: Floor, trials: list[Trial]) -> list[Trial]
         scores = screen(criterion, trial.fit.theta, trial.fit.free, search.candidates)
         following = max((score.gain - score.chance for score in scores if score.testable), default=0.0)
         # A score is the gain of a parabola: no cause explains more than what is missing, and that may be a stop's place
-        # alone.
-        return trial.gain + min(following, max(floor.excess(trial.fit.loglik), 0.0))
+        # alone.  A further name costs what a name must gain.
+        return trial.gain + max(min(following - settings.MIN_GAIN, floor.excess(trial.fit.loglik)), 0.0)
 
     first = max(leaders, key=with_next)
     return [first, *(trial for trial in trials if trial is not first)]

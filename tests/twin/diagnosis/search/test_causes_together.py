@@ -17,7 +17,7 @@ from twin.diagnosis.search import stepwise as search
 from twin.diagnosis.search.candidate_fits import Trial
 from twin.diagnosis.search.candidate_starts import substitute_start
 from twin.diagnosis.search.equivalence import _refit_from, find_classes
-from twin.diagnosis.search.score_test import probed
+from twin.diagnosis.search.score_test import probed, screen
 from twin.diagnosis.search.state import Selection
 from twin.diagnosis.search.task import Search
 from twin.evidence.gather import gather
@@ -108,6 +108,28 @@ def test_the_next_cause_decides_between_candidates_that_gain_nearly_as_much(lead
 
     assert order[0].cause == first
     assert sorted(trial.cause for trial in order) == [delay, offset]
+
+
+def test_a_candidate_that_explains_as_much_alone_comes_before_two() -> None:
+    """A gap and an offset of the sensor explained 5 more together than the offset alone, which was right."""
+    delay, offset = "actuation-delay", "current-sensor-offset"
+    criterion = criterion_of(narrow(strong(delay, 1e-3, strong(offset, 0.02)), seconds=3.0))
+    try:
+        base = fitted(criterion, THETA)
+        task = trusting(criterion, base, BY_NAME[offset])
+        fits = {
+            name: fitted(criterion, strong(name, size, base.theta), name)
+            for name, size in ((offset, 0.02), (delay, 1e-3))
+        }
+        (score,) = screen(criterion, fits[delay].theta, fits[delay].free, [BY_NAME[offset]])
+        gain = 10.0 * score.gain
+        alone = gain + score.gain - score.chance - 0.5 * settings.MIN_GAIN
+        trials = [Trial(cause=offset, fit=fits[offset], gain=alone), Trial(cause=delay, fit=fits[delay], gain=gain)]
+        order = forward._with_next(task, task.floor, trials)
+    finally:
+        criterion.close()
+
+    assert order[0].cause == offset
 
 
 def test_a_candidate_that_leaves_less_than_noise_is_not_put_behind_for_that() -> None:
