@@ -123,8 +123,11 @@ def test_a_candidate_that_explains_as_much_alone_comes_before_two() -> None:
         }
         (score,) = screen(criterion, fits[delay].theta, fits[delay].free, [BY_NAME[offset]])
         gain = 10.0 * score.gain
-        alone = gain + score.gain - score.chance - 0.5 * settings.MIN_GAIN
-        trials = [Trial(cause=offset, fit=fits[offset], gain=alone), Trial(cause=delay, fit=fits[delay], gain=gain)]
+        offset_gain = gain + score.gain - score.chance - 0.5 * settings.MIN_GAIN
+        trials = [
+            Trial(cause=offset, fit=fits[offset], gain=offset_gain),
+            Trial(cause=delay, fit=fits[delay], gain=gain),
+        ]
         order = forward._with_next(task, task.floor, trials)
     finally:
         criterion.close()
