@@ -56,7 +56,7 @@ def nearest(word: str, words: Iterable[str]) -> str:
     """Return ` (did you mean X?)` with the most similar of `words`, or nothing if none is."""
     import difflib  # a STOP shall not wait for it
 
-    matches = difflib.get_close_matches(word, list(words), 1)
+    matches = difflib.get_close_matches(word, list(words), 1, 0.7)  # at 0.6, --model is similar to --help
     return f" (did you mean {matches[0]}?)" if matches else ""
 
 

@@ -68,6 +68,7 @@ def test_the_walk_reaches_sub_commands_and_all_kinds_of_refusals() -> None:
         ("send rig1 reference 3", "3 m is more than any such rig has. You may mean 0.003 (3 mm)."),
         ("design ce152 --operating-point 3", "You may mean 0.003 (3 mm)"),
         ("watch --qqq", "there is no option --qqq. "),
+        ("design --model m", "there is no option --model. "),
         ("watch rig1", "'rig1' is one argument too many"),
     ],
 )

@@ -72,8 +72,8 @@ def draw_set(folder: Path, *, seed: int, count: int, part: str | None = None, qu
     """
     if part is not None and part not in MIX:
         raise UsageError(f"There is no part {part!r} of truths", remedy=f"Choose from {', '.join(dict.fromkeys(MIX))}")
-    if folder.exists() and any(folder.iterdir()):
-        raise UsageError(f"{folder} is not empty", remedy="Name a new folder with --out")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(f"{folder} is not an empty folder", remedy="Name a new folder with --out")
     rng = np.random.default_rng([_DRAW, seed])
     parts = [part or MIX[n % len(MIX)] for n in range(count)]
     truths = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from twin.model.causes.catalogue import BY_NAME
 from twin.readers.campaign import read_campaign
 from twin.settings import diagnosis as settings
 
+OFFSET, DELAY = "current-sensor-offset", "actuation-delay"
 HIDDEN = {"quadratic-drag": 2.0, "air-gap-offset": 3e-4}
 TRIED = tuple(BY_NAME[name] for name in (*HIDDEN, "constant-force"))
 
@@ -90,86 +92,69 @@ def test_one_cause_takes_the_place_of_two_that_are_confounded_with_it(tmp_path: 
     assert exchanged.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
 
 
-@pytest.mark.parametrize(("lead", "first"), [(1.1, "actuation-delay"), (1.3, "current-sensor-offset")])
-def test_the_next_cause_decides_between_candidates_that_gain_nearly_as_much(lead: float, first: str) -> None:
-    """Only the offset is left to be asked: beside the delay it explains more, beside itself nothing does."""
-    delay, offset = "actuation-delay", "current-sensor-offset"
-    criterion = criterion_of(narrow(strong(delay, 1e-3, strong(offset, 0.02)), seconds=3.0))
+@pytest.fixture(scope="module")
+def leaders() -> Iterator[tuple[Search, Fit, dict[str, Fit]]]:
+    """A rig with an offset of i_c and a delay: a search for the offset, the fit with neither and those with one."""
+    sizes = {OFFSET: 0.02, DELAY: 1e-3}
+    criterion = criterion_of(narrow(strong(DELAY, sizes[DELAY], strong(OFFSET, sizes[OFFSET])), seconds=3.0))
     try:
         base = fitted(criterion, THETA)
-        task = trusting(criterion, base, BY_NAME[offset])
-        trials = [
-            Trial(cause=cause, fit=fitted(criterion, strong(cause, value, base.theta), cause), gain=gain)
-            for cause, value, gain in ((offset, 0.02, lead * 1000.0), (delay, 1e-3, 1000.0))
-        ]
-        order = forward._with_next(task, task.floor, trials)
+        fits = {name: fitted(criterion, strong(name, size, base.theta), name) for name, size in sizes.items()}
+        yield trusting(criterion, base, BY_NAME[OFFSET]), base, fits
     finally:
         criterion.close()
+
+
+@pytest.mark.parametrize(("lead", "first"), [(1.1, DELAY), (1.3, OFFSET)])
+def test_the_next_cause_decides_between_candidates_that_gain_nearly_as_much(
+    lead: float, first: str, leaders: tuple[Search, Fit, dict[str, Fit]]
+) -> None:
+    """Only the offset is left to be asked: beside the delay it explains more, beside itself nothing does."""
+    task, _, fits = leaders
+    gains = {OFFSET: lead * 1000.0, DELAY: 1000.0}
+    trials = [Trial(cause=name, fit=fits[name], gain=gain) for name, gain in gains.items()]
+    order = forward._with_next(task, task.floor, trials)
 
     assert order[0].cause == first
-    assert sorted(trial.cause for trial in order) == [delay, offset]
+    assert sorted(trial.cause for trial in order) == [DELAY, OFFSET]
 
 
-def test_a_candidate_that_explains_as_much_alone_comes_before_two() -> None:
+def test_a_candidate_that_explains_as_much_alone_comes_before_two(
+    leaders: tuple[Search, Fit, dict[str, Fit]],
+) -> None:
     """A gap and an offset of the sensor explained 5 more together than the offset alone, which was right."""
-    delay, offset = "actuation-delay", "current-sensor-offset"
-    criterion = criterion_of(narrow(strong(delay, 1e-3, strong(offset, 0.02)), seconds=3.0))
-    try:
-        base = fitted(criterion, THETA)
-        task = trusting(criterion, base, BY_NAME[offset])
-        fits = {
-            name: fitted(criterion, strong(name, size, base.theta), name)
-            for name, size in ((offset, 0.02), (delay, 1e-3))
-        }
-        (score,) = screen(criterion, fits[delay].theta, fits[delay].free, [BY_NAME[offset]])
-        gain = 10.0 * score.gain
-        offset_gain = gain + score.gain - score.chance - 0.5 * settings.MIN_GAIN
-        trials = [
-            Trial(cause=offset, fit=fits[offset], gain=offset_gain),
-            Trial(cause=delay, fit=fits[delay], gain=gain),
-        ]
-        order = forward._with_next(task, task.floor, trials)
-    finally:
-        criterion.close()
+    task, _, fits = leaders
+    (score,) = screen(task.criterion, fits[DELAY].theta, fits[DELAY].free, [BY_NAME[OFFSET]])
+    following = score.gain - score.chance
+    gains = {OFFSET: 11.0 * following - 0.5 * settings.MIN_GAIN, DELAY: 10.0 * following}
+    trials = [Trial(cause=name, fit=fits[name], gain=gain) for name, gain in gains.items()]
 
-    assert order[0].cause == offset
+    assert forward._with_next(task, task.floor, trials)[0].cause == OFFSET
 
 
-def test_a_candidate_that_leaves_less_than_noise_is_not_put_behind_for_that() -> None:
+def test_a_candidate_that_leaves_less_than_noise_is_not_put_behind_for_that(
+    leaders: tuple[Search, Fit, dict[str, Fit]],
+) -> None:
     """Where only a stop is misplaced, log-likelihood beyond the floor once counted against the better fit."""
-    delay, offset = "actuation-delay", "current-sensor-offset"
-    criterion = criterion_of(narrow(strong(delay, 1e-3, strong(offset, 0.02)), seconds=3.0))
-    try:
-        base = fitted(criterion, THETA)
-        task = trusting(criterion, base, BY_NAME[offset])
-        fits = [
-            fitted(criterion, strong(cause, value, base.theta), cause)
-            for cause, value in ((offset, 0.02), (delay, 1e-3))
-        ]
-        worse, better = sorted(fits, key=lambda fit: fit.loglik)
-        trials = [Trial(cause="", fit=fit, gain=fit.loglik - base.loglik) for fit in (worse, better)]
-        trials = [
-            replace(trials[0], cause="quadratic-drag", gain=0.9 * trials[1].gain),
-            replace(trials[1], cause=delay),
-        ]
-        floor = replace(task.floor, logliks=(base.loglik, 0.0), misplaced_m=2.0 * settings.MISPLACED_STOP_M)
-        order = forward._with_next(task, floor, trials)
-    finally:
-        criterion.close()
+    task, base, fits = leaders
+    worse, better = sorted(fits, key=lambda name: fits[name].loglik)
+    gain = fits[better].loglik - base.loglik
+    trials = [Trial(cause=name, fit=fits[name], gain=share * gain) for name, share in ((worse, 0.9), (better, 1.0))]
+    floor = replace(task.floor, logliks=(base.loglik, 0.0), misplaced_m=2.0 * settings.MISPLACED_STOP_M)
 
-    assert floor.excess(worse.loglik) < 0.0
-    assert floor.material(better.loglik)
-    assert order[0].fit is better
+    assert floor.excess(fits[worse].loglik) < 0.0
+    assert floor.material(fits[better].loglik)
+    assert forward._with_next(task, floor, trials)[0].cause == better
 
 
-@pytest.mark.parametrize(("share", "selected"), [(0.0, "current-sensor-offset"), (1.0, "actuation-delay")])
+@pytest.mark.parametrize(("share", "selected"), [(0.0, OFFSET), (1.0, DELAY)])
 @pytest.mark.slow
 def test_a_forward_step_asks_for_the_next_cause_of_all_leaders(
     share: float, selected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Alone the delay gains most; with the offset first, the two explain more together."""
     monkeypatch.setattr(settings, "LEADERS_SHARE", share)
-    delay, offset = BY_NAME["actuation-delay"], BY_NAME["current-sensor-offset"]
+    delay, offset = BY_NAME[DELAY], BY_NAME[OFFSET]
     criterion = criterion_of(narrow(strong(delay.name, 1e-3, strong(offset.name, 0.1)), seconds=3.0))
     try:
         base = fitted(criterion, THETA)
