@@ -91,9 +91,10 @@ def test_a_changed_truth_is_noticed(drawn: Path, tmp_path: Path) -> None:
         load_truths(tmp_path)
 
 
-def test_a_full_folder_and_an_unknown_part_are_refused(drawn: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="not empty"):
-        draw_set(drawn, seed=1, count=1)
+def test_a_full_folder_a_file_and_an_unknown_part_are_refused(drawn: Path, tmp_path: Path) -> None:
+    for used in (drawn, drawn / "truth.json"):
+        with pytest.raises(UsageError, match="is not an empty folder"):
+            draw_set(used, seed=1, count=1)
     with pytest.raises(UsageError, match="no part 'knock-out'"):
         draw_set(tmp_path, seed=1, count=1, part="knock-out")
 
