@@ -19,7 +19,15 @@ def test_caches_lie_in_the_clone(target: str, program: str, tmp_path: Path) -> N
     (tmp_path / program).chmod(0o755)
 
     process = subprocess.run(
-        ["make", "--silent", "--no-print-directory", "--assume-old=setup", target, f"BIN={tmp_path}"],
+        [
+            "make",
+            "--silent",
+            "--no-print-directory",
+            "--assume-old=setup",
+            "--assume-old=install",
+            target,
+            f"BIN={tmp_path}",
+        ],
         cwd=ROOT,
         env={**os.environ, **OUTSIDE},
         capture_output=True,

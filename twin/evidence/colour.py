@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import null_space, toeplitz
 
 from twin.distributions import chi2_exceeded
@@ -193,18 +194,14 @@ def _windows(series: Series, column: int, *, captures: bool) -> list[_Windows]:
     """Return the windows of i_c (column 0) or x under a constant input, with the ball at rest or from captures."""
     values = (series.i, series.x)[column]
     use = (USE_I, USE_X)[column]
-    follows = series.flags & FOLLOWS != 0
-    changed = ~follows | (np.diff(series.u, prepend=series.u[:1]) != 0.0)
-    captured = is_fast(series)
+    changed = _changed(series)
     used = series.flags & use != 0
     used &= uncut(series, values, used)
-    since = np.arange(len(values)) - np.maximum.accumulate(np.where(changed, np.arange(len(values)), 0))
     if captures:
-        steps = np.cumsum(changed & follows) - np.maximum.accumulate(np.where(follows, 0, np.cumsum(changed & follows)))
-        allowed = used & captured & ((steps == 0) | (since >= settings.COLOUR_SETTLES_FAST))
+        allowed = used & settled_captures(series)
     else:
-        rest = series.flags & RESTS != 0
-        allowed = used & ~captured & rest & (series.flags & FLIES == 0) & (since >= settings.COLOUR_SETTLES)
+        rest = (series.flags & RESTS != 0) & (series.flags & FLIES == 0)
+        allowed = used & ~is_fast(series) & rest & (_since(changed) >= settings.COLOUR_SETTLES)
     rows_of_step: dict[float, list[FloatArray]] = {}
     for piece in runs(allowed, WINDOW):
         for start in range(piece.start, piece.stop - WINDOW + 1, WINDOW):
@@ -215,6 +212,24 @@ def _windows(series: Series, column: int, *, captures: bool) -> list[_Windows]:
             step_s = float(f"{np.median(series.step[start + 1 : start + WINDOW]):.3g}")
             rows_of_step.setdefault(step_s, []).append(_FREE @ values[window])
     return [calm for step_s, rows in rows_of_step.items() if (calm := _calm(step_s, np.array(rows))) is not None]
+
+
+def settled_captures(series: Series) -> BoolArray:
+    """Return a mask of captured samples before the step, or long enough after it, shape (n,)."""
+    follows, changed = series.flags & FOLLOWS != 0, _changed(series)
+    steps = np.cumsum(changed & follows) - np.maximum.accumulate(np.where(follows, 0, np.cumsum(changed & follows)))
+    return np.asarray(is_fast(series) & ((steps == 0) | (_since(changed) >= settings.COLOUR_SETTLES_FAST)))
+
+
+def _changed(series: Series) -> BoolArray:
+    """Return a mask of samples at which u_c is not that of the sample before, shape (n,)."""
+    return np.asarray((series.flags & FOLLOWS == 0) | (np.diff(series.u, prepend=series.u[:1]) != 0.0))
+
+
+def _since(changed: BoolArray) -> NDArray[np.int64]:
+    """Return the number of samples since the last change, shape (n,)."""
+    index = np.arange(len(changed))
+    return index - np.maximum.accumulate(np.where(changed, index, 0))
 
 
 def is_fast(series: Series) -> BoolArray:

@@ -1,4 +1,4 @@
-"""Sensor noise without a model: from the ball at rest, otherwise from the differences of the readings."""
+"""Sensor noise without a model: from the ball at rest and settled captures, else from differences of the readings."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from twin.estimation.contact import HELD_SAMPLES
 from twin.estimation.innovations import LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
 from twin.estimation.record import runs
+from twin.evidence.colour import settled_captures
 from twin.evidence.gather import Evidence
 from twin.evidence.noise_levels import RESTS, uncut
 from twin.evidence.rest_lines import without_lines
@@ -55,7 +56,13 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
         (series.flags & use != 0) & uncut(series, values, series.flags & (use | RESTS_LOW | RESTS_HIGH) != 0)
         for values, use in ((series.i, USE_I), (series.x, USE_X))
     ]
-    rest, lost = series.flags & RESTS != 0, series.flags & LOST != 0
+    lost = series.flags & LOST != 0
+    rest = series.flags & RESTS != 0
+    # Captures, too: they triple the readings of i_c where a rig rests for a few seconds only.  Not those whose noise
+    # differs: their ratio to the ball at rest is measured, so they say nothing about its level.
+    if evidence.noise is not None and rest.any():
+        ratio = evidence.noise_ratio
+        rest |= settled_captures(series) & (ratio[:, 0] == 1.0 if len(ratio) else True)
     windows: tuple[list[tuple[float, int]], list[tuple[float, int]]] = ([], [])
     for piece in runs(rest, 2 * HELD_SAMPLES):
         for start in range(piece.start, piece.stop - HELD_SAMPLES + 1, HELD_SAMPLES):

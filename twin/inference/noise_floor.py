@@ -2,7 +2,7 @@
 
 The excess of a model is the log-likelihood that it lacks compared with white innovations.  Their covariance is that of
 the same model under sensor noise alone: (S 4), (S 5) of docs/theory/statistics.md.  The noise is measured on the ball
-at rest, where no model is involved.
+at rest and in settled captures, where no model is involved.
 
 A model that needs a misplaced stop is not adequate either, although a stop costs little likelihood among so many
 readings.  Two other causes and a stop that is half a millimetre off can imitate two causes.

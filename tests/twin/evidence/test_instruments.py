@@ -24,6 +24,7 @@ from twin.evidence.gather import Evidence, gather
 from twin.evidence.instruments import instruments, with_noise
 from twin.evidence.noise_levels import Channel, Level, Noise
 from twin.evidence.outliers import without_outliers
+from twin.evidence.sensor_noise import noise_errors, sensor_noise
 from twin.readers.campaign import read_campaign
 
 SEED, EFFECTS = 9011, {"air-gap-offset": 3e-4}
@@ -73,6 +74,29 @@ def test_one_instrument_is_one_level_and_changes_nothing(campaign: Path) -> None
     assert noise.plain
     assert not len(with_noise(evidence, noise).noise_ratio)
     assert without_outliers(evidence) is evidence
+
+
+def test_captures_show_the_noise_of_their_instrument_like_the_ball_at_rest(campaign: Path) -> None:
+    evidence = evidence_of(campaign)
+    noisy = with_noise(evidence, instruments([evidence]))
+
+    sigma_i, _ = sensor_noise(noisy)
+    error_i, error_x = noise_errors(noisy)
+
+    rest_i, rest_x = noise_errors(evidence)  # of the ball at rest only: it is not known which levels are equal
+    assert error_i < 0.7 * rest_i
+    assert error_x == rest_x
+    assert sigma_i == pytest.approx(I_A, rel=4.0 * error_i)
+
+
+def test_captures_of_a_noisier_instrument_say_nothing_about_the_ball_at_rest(campaign: Path, tmp_path: Path) -> None:
+    folder = copy_of(campaign, tmp_path)
+    worse(folder, "step_*", i_c=Instrument(noise=I_A * math.sqrt(SCOPE**2 - 1.0), lowest=NO_LESS))
+    evidence = evidence_of(folder)
+
+    noisy = with_noise(evidence, instruments([evidence]))
+
+    assert sensor_noise(noisy)[0] == sensor_noise(evidence)[0]
 
 
 @pytest.mark.sample
