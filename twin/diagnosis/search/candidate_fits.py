@@ -84,19 +84,24 @@ def fit_candidates(
                 active.add(trial.cause)
         trials = criterion.each(partial(_refine_active, criterion, active, passes, last), trials)
     else:
-        trials = _finish_first(criterion, trials, active)
+        trials = _finish_first(criterion, trials, active, cutoff_gain)
     trial_of = {trial.cause: trial for trial in trials}
     trials += [renamed(criterion, trial_of[original], copy) for copy, original in copies.items()]
     return sorted(trials, key=lambda trial: -trial.gain)
 
 
-def _finish_first(criterion: Criterion, trials: list[Trial], ended: set[str]) -> list[Trial]:
-    """Fit the best trial within its range to the end unless that was done: it may be selected."""
+def _finish_first(criterion: Criterion, trials: list[Trial], ended: set[str], cutoff_gain: float) -> list[Trial]:
+    """Fit the best trial within its range to the end, unless that was done or it cannot reach the cutoff.
+
+    It may be selected, or be in the class.
+    """
     trials = sorted(trials, key=lambda trial: -trial.gain)
     # The best within its range, not the best of all: a cause outside its range is refused whatever its fit gains.
-    first = next((n for n, trial in enumerate(trials) if within_range(trial)), len(trials))
-    if first < len(trials) and trials[first].cause not in ended and not trials[first].fit.converged:
-        trials[first] = refine(criterion, trials[first])
+    first = next((n for n, trial in enumerate(trials) if within_range(trial)), None)
+    if first is not None:
+        trial = trials[first]
+        if trial.cause not in ended and not trial.fit.converged and _promise(trial) >= cutoff_gain:
+            trials[first] = refine(criterion, trial)
     return trials
 
 
