@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, na
 from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 from twin.diagnosis.search import stepwise
+from twin.diagnosis.search.candidate_fits import fit_candidates
 from twin.diagnosis.search.candidate_starts import start_of
 from twin.diagnosis.search.equivalence import find_classes
 from twin.diagnosis.search.forward_step import Round
@@ -70,6 +72,22 @@ def test_a_candidate_starts_with_the_numbers_of_the_causes_that_stood_in_for_it(
 
     assert at.theta.value("current-sensor-offset.offset_a") < -0.12
     assert min(gains) > 0.0
+
+
+def test_a_candidate_that_cannot_reach_the_class_is_not_fitted_to_its_end() -> None:
+    criterion = criterion_of(narrow(strong(GAP, 5e-4), seconds=3.0))
+    try:
+        base = fitted(criterion, THETA)
+        scores = [score for score in screen(criterion, base.theta, base.free) if score.cause == FORCE]
+        ended, far_behind = (
+            fit_candidates(criterion, base, scores, cutoff_gain=gain)[0] for gain in (-math.inf, math.inf)
+        )
+    finally:
+        criterion.close()
+
+    assert ended.fit.converged
+    assert not far_behind.fit.converged
+    assert far_behind.gain <= ended.gain
 
 
 @pytest.mark.sample
