@@ -59,7 +59,7 @@ def read_header(path: Path, line: str, row: str, number: int = 1) -> tuple[tuple
     Raises:
         DataError: the file cannot be a recording, has no line of names, or a name twice.
     """
-    # The most frequent one: a name in a table with semicolons may hold a comma.
+    # The most frequent one: in a table with semicolons, a name may contain a comma.
     separator = max(",;\t", key=line.count)
     names = tuple(cell.strip() for cell in split(line, separator))
     if len(names) < 2 or not any(is_number(cell) for cell in split(row, separator)):
@@ -80,7 +80,7 @@ def read_header(path: Path, line: str, row: str, number: int = 1) -> tuple[tuple
 
 def split(line: str, separator: str) -> list[str]:
     """Return the cells of a line."""
-    # A carriage return within a line ends none here, and the reader of the library takes none.
+    # A carriage return within a line does not end it here, and Python's csv reader would refuse it.
     return next(csv.reader([line.replace("\r", " ")], delimiter=separator, skipinitialspace=True), [])
 
 
@@ -128,10 +128,10 @@ def _variables(path: Path) -> Mapping[str, Variable]:
 
 
 def _version_4(data: bytes) -> Mapping[str, Variable]:
-    """Read what scipy reads in Python alone, without a compiled part that damaged bytes can end."""
+    """Read a file of version 4, for which scipy uses Python code only: damaged bytes cannot crash the process."""
     from scipy.io import loadmat
 
-    if 0 not in data[:4]:  # how scipy knows it
+    if 0 not in data[:4]:  # scipy recognises the version by this
         raise BrokenMatError("it does not begin as one")
     file: Any = io.BytesIO(data)  # the stub knows files by their paths alone
     try:

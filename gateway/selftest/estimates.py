@@ -37,7 +37,7 @@ def line_through(x: Sequence[float], y: Sequence[float]) -> Line:
 def clock_error(ticks: Sequence[int], arrivals_s: Sequence[float], tick_s: float) -> tuple[float, float]:
     """Return how much faster than the host's the board's clock is, in ppm, and half its 95 % interval.
 
-    A frame can be late, never early: of each tenth of the time the earliest arrival counts.
+    A frame can be late, never early, so the earliest arrival of each tenth of the time counts.
     """
     delays = [arrival - tick * tick_s for tick, arrival in zip(ticks, arrivals_s, strict=True)]
     size = len(ticks) // 10

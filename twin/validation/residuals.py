@@ -1,10 +1,11 @@
-"""Residual tests (as `resid` of MATLAB): whether the innovations are white, of the stated size, independent of u_c.
+"""Residual tests (as `resid` of MATLAB): are the innovations white, of the stated size, and independent of u_c?
 
 Rule 1: e(k) is correlated with u_c(k - lag) for lags of 1 and more only.  In closed loop u_c depends on past
         innovations, so it is correlated with them at other lags under a right model, too.
 Rule 2: the bounds in the figure are 99 % bounds of one lag; the verdict is a joint chi-square test over all lags.
-Rule 3: each test fails at a chance of LEVEL at most, and only by what matters.  In a long campaign the rounding of the
-        converters is significant, too: a size within NOISE_TOLERANCE is right, as it is for `diagnose`.
+Rule 3: each test fails a right model with a probability of LEVEL at most, and ignores negligible differences.  In a
+        long campaign even the rounding of the converters is significant, so a size within NOISE_TOLERANCE is right, as
+        it is for `diagnose`.
 """
 
 from __future__ import annotations

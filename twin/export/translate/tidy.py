@@ -1,6 +1,6 @@
-"""Statements without what nothing reads, and without names for what is read once, right after.
+"""Simplifies translated statements: drops unused assignments, and inlines a value that only the next statement reads.
 
-Rule: an expression with a call that gets an array is never left out or moved: the call may change the array.
+Rule: an expression with a call that receives an array is never dropped or moved, because the call may change the array.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ LONGEST = 100  # characters of a statement that took up another one
 
 
 def tidied(statements: Sequence[ast.stmt], arrays: set[str]) -> list[ast.stmt]:
-    """Return the statements that are left; `arrays`: names of arrays that calls may change."""
+    """Return the simplified statements; `arrays`: names of arrays that calls may change."""
     before: list[str] = []
     left = list(statements)
-    # Until nothing changes: what one pass leaves out may have been all that read another.
+    # Until nothing changes: a dropped assignment may have been the only reader of another one.
     while (now := [ast.dump(statement) for statement in left]) != before:
         before = now
         left = _merged(_without_unread(left, _read(left), arrays), _loads(left), arrays)
@@ -36,7 +36,7 @@ def _loads(statements: Sequence[ast.stmt]) -> Counter[str]:
 
 
 def _read(statements: Sequence[ast.stmt]) -> set[str]:
-    """The names that are read for something else than their updates next value."""
+    """The names that are read for more than to compute their own next value."""
     updates: Counter[str] = Counter()
     for n in (n for statement in statements for n in ast.walk(statement)):
         match n:
@@ -78,7 +78,7 @@ def _without_unread(statements: Sequence[ast.stmt], read: set[str], arrays: set[
 
 
 def _merged(statements: Sequence[ast.stmt], loads: Counter[str], arrays: set[str]) -> list[ast.stmt]:
-    """Put an expression where it is read, if that is the next statement and nowhere else."""
+    """Insert an expression where it is read, if only the next statement reads it."""
     left: list[ast.stmt] = []
     for statement in statements:
         match statement:
