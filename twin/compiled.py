@@ -51,7 +51,7 @@ def _compiled(function: Callable[P, R], *, forceinline: bool = False) -> Callabl
     except ImportError:
         return function
     compile_it: Any = partial(numba.njit, nogil=True, error_model="numpy", forceinline=forceinline)
-    # numba reads CACHE_DIR while it decorates; what is decorated elsewhere keeps its own place.
+    # numba reads CACHE_DIR while it decorates, so other packages keep their own cache folders.
     config: Any = numba.config
     default_dir, config.CACHE_DIR = config.CACHE_DIR, cache_folder()
     try:

@@ -185,8 +185,8 @@ class FaultyLine:
     def _damage(self, byte: int, fault: Fault) -> bytes:
         chance = self._random
         if fault.name == "baud":
-            # A receiver at another rate samples the wrong bits: what it gets is not related to what was sent, and
-            # often nothing, because the stop bit is missing.
+            # A receiver at another rate samples the wrong bits: its bytes are unrelated to those sent, and often there
+            # is none, because the stop bit is missing.
             self.damaged += 1
             return bytes((chance.randrange(256),)) if chance.random() < 0.7 else b""
         if chance.random() >= fault.value:

@@ -58,7 +58,7 @@ class Keepalive:
         self._next_ping_s = self._next_parameters_s = self._redo_s = _NEVER
 
     def accepted(self, wire: WireCommand, now_s: float) -> None:
-        """Follow a command of a client that the board has accepted: what it changes is read again."""
+        """Read again the settings that an accepted command of a client has changed."""
         if wire.name == "SET_HOST_LOSS":
             self.host_loss_is(int(wire.values["timeout"]), now_s)
         if wire.name in ("SET_GAINS", "SET_STREAM", "SET_HOST_LOSS"):
@@ -66,8 +66,8 @@ class Keepalive:
 
     def read_parameters(self, now_s: float) -> None:
         """Read the parameters again, after a change."""
-        # Of two that are not answered the second has not been sent yet: it reads what has changed now, too.  One for
-        # each change would fill the queue of a line that loses much, and users' commands would be refused.
+        # If two are unanswered, the second has not been sent yet, so it will also read this change.  One request for
+        # each change would fill the queue of a lossy line, and users' commands would be refused.
         if sum(name == "GET_PARAMETERS" for name, _ in self._under_way.values()) < 2:
             self._order("GET_PARAMETERS", now_s)
 

@@ -1,4 +1,4 @@
-"""The blocks of one part of a log; of a part that grows only what is new is read.
+"""The blocks of one part of a log; of a growing part, only new blocks are read.
 
 Memory: about 300 bytes for each block, so 30 kB for an hour of one board without a twin.
 """

@@ -66,11 +66,13 @@ class Bench:
     baud: int = 115200  # bit/s
     quick: bool = False  # fewer repetitions
     calibrate: bool = False  # correct the board's position sensor where it is off
-    progress: Callable[[str, float], None] = lambda _text, _share: None  # what goes on, and its share done, 0 to 1
+    progress: Callable[[str, float], None] = lambda _text, _share: None  # the present step, and the share done, 0 to 1
     begin: Begin = field(default_factory=Begin)
     parameters: Message | None = None
     lift_input_v: float = 0.0  # has lifted the ball; 0: use that of the rig
-    faults: set[str] = field(default_factory=set)  # found so far: what follows from one is skipped, not found again
+    faults: set[str] = field(
+        default_factory=set
+    )  # found so far: checks that would only see one of them again are skipped
     expected_resets: int = 0
     expected_host_losses: int = 0
     _rest: Rest | None = None

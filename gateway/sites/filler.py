@@ -1,10 +1,10 @@
-"""Fills what a recording has missed, from the log servers of its site: asks for what they have, block by block.
+"""Fills the gaps of a recording from the log servers of its site, block by block.
 
-Rule 1: nothing is remembered on disk but the records.  What is missing follows from the folder each time, so a fill
-        that was killed goes on where it was, and a second one finds nothing to do.
+Rule 1: only the records are stored on disk.  Each fill finds the gaps from the folder anew, so one that was killed
+        continues where it was, and a second one finds nothing to do.
 Rule 2: records younger than `settle_s` are left out, as they may be on their way to the recorder.
-Rule 3: memory is bounded: the index of the parts of one's own that overlap what is compared, and one reply.
-Rule 4: what a server sends is checked: a record counts if it belongs to the block that was asked for.
+Rule 3: memory is bounded: the index of the local parts that overlap the compared time, and one reply.
+Rule 4: replies are checked: a record counts only if it belongs to the requested block.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ class Filler:
                     tally.records += 1
                     tally.bytes += len(record.data)
             if self._writer is not None:
-                self._writer.flush()  # what is on disk now, a kill does not cost
+                self._writer.flush()  # records on disk survive a kill
             more = reply.more and before < len(have) < MAX_IDS
 
     def _is_of_site(self, block: BlockId) -> bool:

@@ -1,6 +1,6 @@
-"""Answers what the log of a site holds: the queryable `<site>/_logs/<id of this session>`.
+"""Serves the records in the log of a site: the queryable `<site>/_logs/<id of this session>`.
 
-Rule 1: every request is whole in itself; what is kept between two of them only saves time.
+Rule 1: every request is complete in itself; indexes retained between requests only save time.
 Rule 2: memory is bounded: MAX_PARTS indexes of parts, the records of one block, and replies of REPLY_BYTES.  These are
         small: on a slow line the samples wait behind a reply in the router's queue, and must not be dropped.
 Rule 3: a request that cannot be served gets a reply that says why.  Of a damaged part everything intact is served.

@@ -50,5 +50,5 @@ def rests_on_plant(cause: Cause) -> bool:
     # Whatever the family: a cause of the amplifier that follows the gap rests on the travel, too.
     if "of-the-gap" in cause.traits:
         return True
-    # u_c, i_c and the ticks are the board's own: what acts on them alone rests on no mass.
+    # The board itself measures u_c, i_c and ticks: a cause that acts only on them does not depend on the mass.
     return cause.family not in _FREE_OF_IT and "current sensor" not in cause.acts_on

@@ -175,7 +175,7 @@ def lasting_warmth(c: Vector, i: float) -> float:
 
 @inlined
 def settle_current(c: Vector, y: NDArray[np.float64], i: float) -> None:
-    """Set the current of the coil to i, A, and what follows it, its warmth too, to that of a long time."""
+    """Set the current of the coil to i, A, and all states that follow it, warmth included, to their steady state."""
     y[I_C], y[FIELD], y[SECOND], y[CORE], y[I_SENSOR] = i, i, i, i, i
     y[WARMTH] = lasting_warmth(c, i)
 

@@ -79,7 +79,7 @@ def fly(
     T_s = duration / steps
     for k in range(steps):
         begins_s, change_s = t + k * T_s, min(max(change - k * T_s, 0.0), T_s)
-        # The constants make the compiler leave out what does not act.
+        # With constants the compiler removes the terms that are absent.
         if is_slow(c):
             if is_bent(c):
                 _step(base, c, y, before, change_s, u, begins_s, T_s, True, True)

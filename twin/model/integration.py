@@ -76,9 +76,9 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         duration: s, at most LONGEST_STEP_S.
         stops: whether x is limited to 0 .. travel: `STOPS` or `FREE`.
     """
-    if duration < INSTANT_S:  # what a delay of whole intervals leaves of its first part
+    if duration < INSTANT_S:  # rounding error of a delay of whole intervals
         return
-    # The constants make the compiler leave out what does not act: a step of the paper's model takes half the time.
+    # With constants the compiler removes the terms that are absent: a step of the paper's model takes half the time.
     if is_slow(c):
         if is_bent(c):
             _substeps(base, c, y, u, t, duration, stops, True, True)
@@ -102,7 +102,7 @@ def _substeps(
     bent: bool,
     slow: bool,
 ) -> None:
-    """Run `advance` with constants that say what acts: `is_bent`, `is_slow`; the other arguments are the same."""
+    """Run `advance` with the constants `is_bent` and `is_slow`, which tell the compiler which terms are present."""
     p = Base(*base)
     plane = air_gap_offset.gap_m(c, p.x_max_m)
     gap_mid = p.x_max_m - 0.5 * p.travel_m

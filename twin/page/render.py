@@ -38,6 +38,6 @@ def render(template: str, /, **values: object) -> str:
 
     Args:
         template: its path under `twin/`; it extends `page/base.html` and has the macros of `page/parts.html`.
-        values: what it shows.
+        values: the variables of the template.
     """
     return _TEMPLATES.get_template(template).render(values) + "\n"

@@ -21,7 +21,7 @@ class Answers:
         self._retained: deque[tuple[int, int, bytes, Priority]] = deque(maxlen=RETAINED_IDS)  # id, type, frame
 
     def forget(self) -> None:
-        """Forget what was kept, as a new session does."""
+        """Forget the retained answers, as a new session does."""
         self._retained.clear()
 
     def has_room(self, body: bytes) -> bool:

@@ -77,7 +77,7 @@ class Inbox:
         self.bad_frames = 0
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Yield the bodies (without CRC) that `data` completes, each before what follows it; count invalid frames."""
+        """Yield the bodies (without CRC) of the frames that `data` completes, one by one; count invalid frames."""
         *frames, rest = (self._pending + data).split(b"\x00")
         self._pending = rest[: MAX_ENCODED + 1]  # the buffer of the board; a longer frame is lost, the next is not
         for frame in filter(None, frames):  # nothing is between two delimiters in a row

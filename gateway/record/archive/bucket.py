@@ -98,7 +98,7 @@ class Bucket:
             return {item["path"]: Stored(item["size"], item["e_tag"]) for items in self._store.list() for item in items}
 
     def attributes(self, name: str) -> Mapping[str, str]:
-        """Return what was written with an object beside its content."""
+        """Return the attributes that were stored with an object."""
         with self._reworded(name):
             return self._store.get(name, options={"head": True}).attributes
 

@@ -1,8 +1,8 @@
 """Copies the logs of a folder into a bucket, and single logs back.  Nothing is deleted in either.
 
 Rule 1: a log is copied when the catalogue knows it as it is now: it has rested, and its sessions are known.
-Rule 2: the bucket alone says what is archived: with each log it has its SHA-256 and its time of change.
-Rule 3: the rows of the catalogue go first, as NAME.sessions.jsonl: what lies in the bucket can always be found.
+Rule 2: only the bucket decides what is archived: it stores SHA-256 and time of change with each log.
+Rule 3: the rows of the catalogue are copied first, as NAME.sessions.jsonl, so each log in the bucket can be found.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ def update(folder: Path, progress: Callable[[str], None] = lambda text: None) ->
                 unreadable.append(f"{name}: {error.problem}")
             size = status.st_size
             values = [{"file": name, "bytes": size, **asdict(row), "problem": problem, "archived": ""} for row in rows]
-            with database:  # a log at a time: an interrupted update keeps what it has read
+            with database:  # one transaction per log: an interrupted update keeps the logs read so far
                 _insert(database, name, (size, status.st_mtime_ns), values)
             read += 1
         stays = present | {name for (name,) in database.execute("SELECT file FROM seen WHERE archived != ''")}

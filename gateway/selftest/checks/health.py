@@ -9,7 +9,7 @@ from gateway.selftest.bench import Bench, NotReadyError
 from gateway.selftest.verdict import Verdict, fault, judge, passed, skipped
 from protocol.wire.messages import NOT_KNOWN
 
-_SPARE_BYTES = 16.0  # an interrupt and what it calls
+_SPARE_BYTES = 16.0  # an interrupt and the functions that it calls
 _CANARY_BYTES = 4.0
 
 

@@ -83,9 +83,10 @@ def _stop_in_flood(bench: Bench) -> Verdict:
 
 
 class Flood:
-    """Counts what it sends into a line of `baud` bit/s and what comes back.
+    """Counts the commands sent on a line of `baud` bit/s, and the answers.
 
-    It sends past the session, whose ids would meet its own.  Begin a new session after it: the board then forgets them.
+    It bypasses the session, whose command ids its own would repeat.  Begin a new session afterwards: the board then
+    forgets the ids.
     """
 
     def __init__(self, wire: Wire, baud: int) -> None:

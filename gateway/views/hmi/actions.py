@@ -32,7 +32,7 @@ from protocol.errors import Board51Error
 
 REPLAY_SITE = "replay"  # logs are replayed under this site, and on a bus of their own: never for live
 WRITTEN_S = 30.0  # a log that is open is flushed far more often
-# A replay shows what was seen, the twin of then included.
+# A replay shows the page as it was, with the twin of that time.
 _EVERYTHING = [word for topic in topics.RECORDED for word in ("--topic", topic)]
 # The act that whoever starts or ends a job of this kind must be allowed; to end a campaign, "stop" is enough.
 _RIGHTS = dict.fromkeys(("identify", "validate", "diagnose", "bode", "compare", "design", "forecast"), "diagnose")

@@ -42,7 +42,7 @@ class Job:
     process: Process
     began_s: float  # monotonic
     lines: deque[str] = field(default_factory=lambda: deque(maxlen=LINES))
-    listener: threading.Thread = field(default_factory=threading.Thread)  # takes in what it says
+    listener: threading.Thread = field(default_factory=threading.Thread)  # reads its output
 
     @property
     def running(self) -> bool:
@@ -113,8 +113,8 @@ class Jobs:
     def stop(self, kind: str, board: str) -> bool:
         """Interrupt it, as Ctrl-C would; False where nothing runs.
 
-        Where it does not end by itself, as a replay whose session of the bus hangs, it is killed: the next one must be
-        able to start.  But a campaign, which parks the ball, and a recording, which writes what it has, are not.
+        A job that does not end by itself, such as a replay whose session of the bus hangs, is killed: the next one must
+        be able to start.  A campaign, which parks the ball, and a recording, which finishes its file, are not killed.
         """
         job = self._jobs.get((kind, board))
         if job is None or not job.running:

@@ -1,7 +1,7 @@
 """The rigs as Prometheus reads them at /metrics, made from the bus when it asks; between two scrapes it costs nothing.
 
 Rule 1: a name ends with its unit, in base units (meters, amperes, seconds, bytes); a counter with total, a share or a
-        figure without unit with ratio.  What is 0 or 1 has the name of what 1 means.
+        figure without unit with ratio.  A flag is named after the meaning of its 1.
 Rule 2: an unknown value is left out, because an absent position is not 0.
 Rule 3: the labels are bounded: rigs, causes, severities and modes are few, alarms at most 64 of a rig.
 """

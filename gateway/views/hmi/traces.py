@@ -28,11 +28,11 @@ SPAN_S = 20.0  # that a plot shows
 BIN_S = 1.0 / 30.0  # a frame of a screen
 MAX_ROWS = round(3 * SPAN_S / BIN_S)
 SPARK_S, SPARK_STEP_S = 30.0, 0.2  # of the overview, whose frames come as often
-COARSE_S, LONGEST_S = 2.0, 600.0  # of what is older; static/history.js makes the same of rows that grow old there
+COARSE_S, LONGEST_S = 2.0, 600.0  # of older rows; static/history.js thins its own rows in the same way
 
 Row = list[object]
 
-# What rows show.  The last seconds are kept whether or not somebody looks, so other channels would be work for nobody.
+# Channels of a row.  The last seconds are always kept, even for nobody, so there are no other channels.
 _CHANNELS: dict[type[Message], tuple[str, ...]] = {
     pb.State: ("x_m", "x_ref_m", "i_c_a", "u_c_v"),
     pb.TwinState: ("x_m", "i_c_a"),

@@ -35,7 +35,7 @@ _INPUTS = {  # the variable that an alarm judges, by its name; of the board's fa
 
 @dataclass
 class ConditionNode:
-    """The state of a condition's node: its alarm, what was sent of it and what clients changed."""
+    """The state of a condition's node: its alarm, its last report, and the changes by clients."""
 
     board: str
     alarm: str
@@ -43,14 +43,14 @@ class ConditionNode:
     enabled: bool = True  # for the clients of this server
     comment: tuple[str, str] | None = None  # text, who: of AddComment, newer than that of the acknowledgement
     is_changed: bool = False  # by a client; not told yet
-    states: dict[str, tuple[bool, datetime]] = field(default_factory=dict)  # what was said last, and since when
-    severity: tuple[int, datetime] | None = None  # said last
+    states: dict[str, tuple[bool, datetime]] = field(default_factory=dict)  # as reported last, and since when
+    severity: tuple[int, datetime] | None = None  # as reported last
     sent_comment: tuple[str, datetime] | None = None  # comment, and since when
     unshelved_at: datetime | None = None  # end of its shelving
 
 
 def condition_event(alarm: Alarm, condition: ConditionNode, node: ua.NodeId, now: datetime, *, retain: bool) -> Any:
-    """Return the event that reports the present state of an alarm; `condition` remembers what it says.
+    """Return the event that reports the present state of an alarm; `condition` remembers the report.
 
     `node` is the ConditionId.  `retain` says whether the condition is of interest to operators.
     """

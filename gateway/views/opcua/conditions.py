@@ -1,10 +1,11 @@
 """Alarms as OPC UA conditions, and the board's events and commands as OPC UA events.
 
 A condition of a board is the node `<board>/alarm/<name>`, which can be browsed once the alarm was raised.  Everything
-is emitted by the Server object and by the board's object: clients subscribe at either.  ConditionRefresh shows what is
-retained; Acknowledge, AddComment, Enable and Disable are methods of the condition, TimedShelve and Unshelve of its
-ShelvingState: they act on the alarm of the bus, and so in every view and in the log.  A disabled condition is not
-reported to any client of this server until it is enabled or the server restarts; all other views continue to show it.
+is emitted by the Server object and by the board's object: clients subscribe at either.  ConditionRefresh reports the
+retained conditions; Acknowledge, AddComment, Enable and Disable are methods of the condition, TimedShelve and Unshelve
+of its ShelvingState: they act on the alarm of the bus, and so in every view and in the log.  A disabled condition is
+not reported to any client of this server until it is enabled or the server restarts; all other views continue to show
+it.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class Conditions:
         self._objects: dict[str, ConditionObject] = {}  # by the name of the alarm
         self._revision = -1
         self._sent: dict[str, Alarm] = {}  # those that are retained
-        self._known: dict[str, tuple[ConditionNode, Alarm]] = {}  # with what was said last, also of those that are over
+        self._known: dict[str, tuple[ConditionNode, Alarm]] = {}  # with the last report, also of alarms that are over
         self._last_event: Any = (None, *feed.events())[-1]
         self._last_command: Any = (None, *feed.commands())[-1]
 

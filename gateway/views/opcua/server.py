@@ -183,7 +183,7 @@ class PromptProcessor(UaProcessor):
         return True
 
     async def close(self) -> None:
-        """Give up what has not begun: its client has left."""
+        """Cancel the commands that have not begun: their client has left."""
         for task in self._acts:
             task.cancel()
         await super().close()

@@ -1,5 +1,5 @@
 """The kernels of the twin in other languages: specialised for one model, then written out.  No physics is here.
 
-`values.py` what is known of an expression, `fold.py` arithmetic on that, `specialise.py` functions and `statements.py`
-their bodies; `c.py` writes C.
+`values.py`: known values of expressions; `fold.py`: arithmetic on them; `specialise.py`: functions; `statements.py`:
+their bodies; `c.py`: output in C.
 """

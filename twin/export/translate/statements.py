@@ -1,8 +1,7 @@
-"""The body of a function under the specialiser: statements in, those that are left out.
+"""Specialises the body of a function: takes its statements, and returns those that remain.
 
-Rule 1: a variable whose value is known is not written, except within a branch or a loop of which it is not known now
-        whether it runs.
-Rule 2: branches that cannot run are left out; `tidy.py` leaves out what nothing reads.
+Rule 1: a variable with a known value is not written, except within a branch or loop that may or may not run.
+Rule 2: branches that cannot run are dropped; `tidy.py` drops unused assignments.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ LONGEST_UNROLLED = 4
 
 
 class Body(Expressions):
-    """The statements of a function and what is left of them."""
+    """The statements of a function, and those that remain of them."""
 
     def __init__(self, program: Calls, outside: Mapping[str, Any], local: dict[str, Value], *, where: str) -> None:
         super().__init__(program, outside, local, where=where)
@@ -206,7 +205,7 @@ class Body(Expressions):
         self._write_down(_assigned(statement))
         self.variables[statement.target.id] = "int"
         self.local[statement.target.id] = Code(name(statement.target.id), "int")
-        # Within a loop what was known before it holds in the first turn only.
+        # Values that are known before a loop hold in its first turn only.
         for variable in _assigned(statement) - {statement.target.id}:
             if variable in self.local:
                 self.local[variable] = Code(name(variable), self.variables[variable])

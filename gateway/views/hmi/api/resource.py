@@ -112,7 +112,7 @@ class Resource:
             answer = problem(405, "method", f"{request.method[:16]} is not possible here, only {allowed}")
             answer.headers["allow"] = allowed
             return answer
-        # What acts has one form, whoever refuses it: a client reads `executed` in each answer.
+        # Each answer to a command has `executed`, whoever refuses the command: clients rely on it.
         more: dict[str, Any] = _UNDONE if endpoint.answer is Reply else {}
         try:
             return await _run(endpoint, request)
