@@ -57,7 +57,7 @@ def _topic_of(key: str) -> tuple[str, str, type[Message]] | None:
 
 
 def locate(record: RawLogRecord | pb.LogRecord) -> Located | None:
-    """Return where a record belongs; None if to no block."""
+    """Return the block of a record; None if it belongs to none."""
     known = _topic_of(record.key)
     if known is None:
         return None

@@ -67,7 +67,7 @@ class Dispatch:
         return await asyncio.get_running_loop().run_in_executor(self._acts, begin)
 
     async def stop(self, boards: Sequence[str], do: Callable[[], T]) -> T:
-        """Do it in a thread at once; every act of these rigs that waits is given up."""
+        """Execute a STOP in a thread at once; commands to these rigs that still wait are refused."""
         now_s = time.monotonic()
         with self._lock:
             self._stop_arrivals_s.update(dict.fromkeys(boards, now_s))

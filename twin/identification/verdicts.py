@@ -66,7 +66,7 @@ def gain(joint: Interval | None, levels: Levels | None, shape: Shape | None, war
 
 
 def time_constant(joint: Interval | None, shape: Shape | None, tick_s: float, warnings: list[str]) -> Parameter:
-    """Return T_A from the joint fit, or from the steps if not first order, more precise or in disagreement.
+    """Return T_A of the joint fit, or of the steps if these are not first order, more precise, or in disagreement.
 
     Arguments as in `gain`; `tick_s` is the sampling interval, s.
     """

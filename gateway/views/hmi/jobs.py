@@ -103,11 +103,11 @@ class Jobs:
         return job
 
     def get(self, kind: str, board: str) -> Job | None:
-        """The latest of its kind."""
+        """Return the latest job of this kind on a board."""
         return self._jobs.get((kind, board))
 
     def of(self, board: str) -> list[Job]:
-        """The latest of each kind."""
+        """Return the latest job of each kind on a board."""
         return [job for (_, of), job in sorted(self._jobs.items()) if of == board]
 
     def stop(self, kind: str, board: str) -> bool:

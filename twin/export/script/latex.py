@@ -60,7 +60,7 @@ _PLANT = (
 
 
 def latex(parts: Content) -> Mapping[str, str]:
-    """The files, by name."""
+    """Return the texts of the files, by name."""
     model = parts.model
     rows = [_row(symbol, parameter) for symbol, parameter in model.parameters.items()]
     rows += [

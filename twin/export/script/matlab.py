@@ -64,7 +64,7 @@ end
 
 
 def matlab(parts: Content) -> Mapping[str, str]:
-    """The files, by name."""
+    """Return the texts of the files, by name."""
     files = {
         "rig_parameters.m": _parameters(parts),
         "rig_begin.m": _main("memory = rig_begin(m, i, x, v, u)", _BEGIN, *parts.begin()),

@@ -16,7 +16,7 @@ from twin.model.causes.cause import PLACES
 
 
 def modelica(parts: Content) -> Mapping[str, str]:
-    """The files, by name.
+    """Return the texts of the files, by name.
 
     Raises:
         NotTranslatableError: a cause has no differential equation; the message says which and why.

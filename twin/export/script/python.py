@@ -117,7 +117,7 @@ if __name__ == "__main__":
 
 
 def python(parts: Content) -> Mapping[str, str]:
-    """The files, by name."""
+    """Return the texts of the files, by name."""
     program, begin = parts.begin()
     ticks, tick = parts.tick()
     texts = _functions(program) | _functions(ticks)

@@ -63,7 +63,7 @@ def _scale(axis: Axes, values: NDArray[np.float64]) -> None:
 def _column(
     axes: NDArray[np.object_], column: Column, *, first: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Draw one; returns the error of i_c in mA and the innovation of x in µm."""
+    """Draw a column; returns the error of i_c in mA and the innovation of x in µm."""
     rows = column.traces.columns()
     begin = float(np.nanmin(rows[0]))
     t, x, x_ref, i, twin_x, twin_i, innovation = (rows[0] - begin, *rows[[1, 2, 3, 5, 6, 12]])

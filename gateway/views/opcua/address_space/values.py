@@ -53,7 +53,7 @@ def data_value(value: object, variant: ua.VariantType, code: int, stamp_ns: int)
 
 
 def _fits(value: float, variant: ua.VariantType) -> bool:
-    """Return whether a number is finite, and no code that this version does not know: an enum may be negative."""
+    """Return whether the type can represent a number.  An unknown code of an enum may be negative."""
     return math.isfinite(value) and (value >= 0 or variant is not ua.VariantType.UInt32)
 
 
