@@ -204,7 +204,7 @@ GOAL_REACH = 10.0
 # Samples of the approach to the start of a fit, its passes over them, and the multiple of them from which it is used.
 APPROACH_SAMPLES = 8000
 PASSES_APPROACH = 12
-APPROACH_RATIO = 3.0
+APPROACH_RATIO = 2.0
 ROUGH_LEFT = 0.5  # measured: log-likelihood that cheaper slopes leave, 0.1 to 2 in trials
 PASSES_QUICK = 10  # of a model without one of its causes, with --quick
 HALVING = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))  # then: passes, least share of the best gain, most candidates
