@@ -70,9 +70,7 @@ class Bench:
     begin: Begin = field(default_factory=Begin)
     parameters: Message | None = None
     lift_input_v: float = 0.0  # has lifted the ball; 0: use that of the rig
-    faults: set[str] = field(
-        default_factory=set
-    )  # found so far: checks that would only see one of them again are skipped
+    faults: set[str] = field(default_factory=set)  # so far: a check that could only find one again is skipped
     expected_resets: int = 0
     expected_host_losses: int = 0
     _rest: Rest | None = None

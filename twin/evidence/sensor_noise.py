@@ -19,7 +19,10 @@ _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
 
 
 def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
-    """Return the noise (i_c in A, x in m) of the ball at rest, else of `instruments.py`; None: too few samples."""
+    """Return the noise of i_c, A, and x, m; None: too few samples.
+
+    It is that of the ball at rest, for i_c also of settled captures, else that of `instruments.py`.
+    """
     squares = _rest_squares(evidence)
     result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
     if evidence.noise is not None:
@@ -47,7 +50,7 @@ def noise_errors(evidence: Evidence) -> tuple[float, float]:
 
 
 def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
-    """Return (sum of squares about straight lines at rest, degrees of freedom) for i_c and x.
+    """Return (sum of squares about straight lines at rest and in captures, degrees of freedom) for i_c and x.
 
     Windows far noisier than the others are left out: the current still settles there, or the rig was touched.
     """
