@@ -50,7 +50,7 @@ $(INSTALLED): requirements.lock $(RUNS)
 demo: setup
 	$(ALONE) $(BIN)/board51 demo
 
-# What guards a change, seven to nine minutes on two cores.  Four processes: some of these tests wait for a board or a bus.
+# What guards a change, five to nine minutes on two cores.  Four processes: some of these tests wait for a board or a bus.
 # Each emulated rig costs processor time as long as it runs: more processes make the slow tests slower.
 # test-slow, the rest, half an hour: the fixed sample of hidden campaigns, measured rigs, long flights, the demo,
 # browsers.  WHICH="not sample" runs both, the slow ones first, so that no process waits for another at the end.
