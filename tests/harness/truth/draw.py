@@ -37,7 +37,15 @@ NO_CAUSE, OTHER = "nothing", "other"
 NAMES = tuple(sorted(EFFECTS.keys() - INVISIBLE))
 PLACES = ("force", "current", "position", "input", "time")
 _LOOP_PARTS = {"amplifier": "input", "force": "force", "motion": "force", "timing": "time"}
-_OUTSIDE = {"sensor": "position", "lateral": "position", "bit": "position", "supply": "input", "loose": "input"}
+_OUTSIDE = {
+    "current": "current",
+    "second": "input",
+    "sensor": "position",
+    "lateral": "position",
+    "bit": "position",
+    "supply": "input",
+    "loose": "input",
+}
 _HEADER = {"t": "t_s", "u_c": "u_c_V", "i_c": "i_c_A", "x": "x_m", "x_ref": "x_ref_m"}
 _DRAW, _ATTEMPTS = 33, 50
 
@@ -151,7 +159,9 @@ def _draw_case(folder: Path, case: str, part: Part, rng: np.random.Generator, qu
 
 
 def _truth(case: Path, hidden: Hidden) -> Truth:
-    names: Sequence[str] = [OTHER] if hidden.outside else list(hidden.effects) or [NO_CAUSE]
+    # Some forms have an effect that is not on the list.
+    effects = [name if name in NAMES else OTHER for name in hidden.effects]
+    names: Sequence[str] = [OTHER] if hidden.outside else effects or [NO_CAUSE]
     strengths = {**hidden.effects, **hidden.outside}
     # The twin's model has the effect by the same formula on the second plant, and the forms by none.
     formula = {} if hidden.form else hidden.effects

@@ -12,7 +12,7 @@ from protocol.campaign import load
 from protocol.errors import DataError, UsageError
 from tests.bench.truth import run
 from tests.harness.diagnose.draws import Hidden
-from tests.harness.truth.draw import NAMES, draw_set, load_truths, write_case
+from tests.harness.truth.draw import NAMES, OTHER, _truth, draw_set, load_truths, write_case
 
 pytestmark = pytest.mark.xdist_group("truth-set")
 ECHO = """
@@ -58,6 +58,17 @@ def test_two_cases_that_differ_in_the_effect_differ_in_the_readings_alone(tmp_pa
     texts = [path.read_text(encoding="utf-8") for path in (tmp_path / "drag").iterdir() if path.name != "names.csv"]
     assert not any(word in text for text in texts for word in ("drag", "8675309", "independent", "causes"))
     assert texts != [path.read_text(encoding="utf-8") for path in (tmp_path / "null").iterdir()]
+
+
+def test_an_effect_that_is_not_on_the_list_has_the_answer_other(tmp_path: Path) -> None:
+    hidden = Hidden(
+        part="forms", seed=8675310, plant="textbook", effects={"current-sensor-lag": 2e-3}, form="current-filtered"
+    )
+    write_case(tmp_path, hidden, quick=True)
+
+    truth = _truth(tmp_path, hidden)
+
+    assert (truth.names, truth.places) == ((OTHER,), ("current",))
 
 
 def test_the_units_are_in_the_headers_and_the_campaign_is_ours(drawn: Path) -> None:
