@@ -16,6 +16,7 @@ from twin.inference.likelihood import Criterion, mean_square
 from twin.inference.optimiser import CLOSE, SLOW_TOLERANCE, Slopes, active_of, covariance_of
 from twin.inference.optimiser import Fit as Fit
 from twin.inference.theta import Theta, parameter_of, prior_spread
+from twin.model.causes.catalogue import with_trait
 from twin.settings import diagnosis as settings
 
 TOLERANCE = 0.02  # of a standard error: 2e-4 of log-likelihood is left
@@ -106,7 +107,9 @@ def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:
     Its likelihood is that of all samples.  `ahead` is the gain that the part leaves.  The slope at its
     end promises some of it.  The scatter of the maxima of parts adds half a unit for each coordinate and further part.
     """
-    part = criterion.thinner
+    # A slow effect does not show in the blocks of the part, each of which begins anew: its time would run to its limit.
+    is_slow = any("." in name and name.partition(".")[0] in with_trait("warms") for name in free)
+    part = criterion if is_slow else criterion.thinner
     if part is not criterion:
         fit = climb(part, start, free, passes=settings.PASSES_APPROACH, approximate=True)
         before, after = criterion.values([start, fit.theta])

@@ -147,6 +147,7 @@ def rest_of_acceleration(p: Base, c: Vector, x: float, v: float, t: float, bent:
     if bent:
         force += periodic_disturbance.force_n(c, t) - quadratic_drag.drag_n(c, v)
         weights += curve.value(c, curve.FORCE_OVER_X, x) + curve.value(c, curve.FORCE_OVER_V, v)
+        weights -= curve.value(c, curve.DRAG_OVER_X, x) * v / curve.DRAG_AT_M_S
     # (6) over the mass; the curves of the remainder are shares of the weight.
     return force * (1.0 / p.mass_kg) + p.gravity_m_s2 * weights
 
@@ -201,13 +202,20 @@ def reading_of_current(c: Vector, y: NDArray[np.float64]) -> float:
 @inlined
 def current_reading(c: Vector, i: float) -> float:
     """Return the steady-state reading of the current sensor, A."""
-    return current_sensor_offset.shifted(c, current_sensor_gain.scaled(c, i))
+    bent = i * (1.0 + curve.value(c, curve.READING_OVER_I, i))
+    return current_sensor_offset.shifted(c, current_sensor_gain.scaled(c, bent))
 
 
 @inlined
 def current_of_reading(c: Vector, reading: float) -> float:
     """The current that gives this reading, A."""
-    return (reading - c[current_sensor_offset.OFFSET]) / c[current_sensor_gain.GAIN]
+    bent = (reading - c[current_sensor_offset.OFFSET]) / c[current_sensor_gain.GAIN]
+    i = bent
+    # Newton's method, as in `position_of_reading`.
+    for _ in range(4):
+        share, slope = curve.value(c, curve.READING_OVER_I, i), curve.slope(c, curve.READING_OVER_I, i)
+        i -= (i * (1.0 + share) - bent) / (1.0 + share + i * slope)
+    return i
 
 
 @inlined
@@ -284,6 +292,7 @@ def is_bent(c: Vector) -> bool:
         or c[curve.PULL_OVER_I + 1] > c[curve.PULL_OVER_I]
         or c[curve.FORCE_OVER_X + 1] > c[curve.FORCE_OVER_X]
         or c[curve.FORCE_OVER_V + 1] > c[curve.FORCE_OVER_V]
+        or c[curve.DRAG_OVER_X + 1] > c[curve.DRAG_OVER_X]
     )
     powers = c[force_exponent.N] != 2.0 or c[force_exponent.BEND] != 0.0 or c[force_exponent.CURL] != 0.0
     motion = c[quadratic_drag.C] != 0.0 or c[periodic_disturbance.AMPLITUDE] != 0.0

@@ -11,7 +11,15 @@ from scipy.interpolate import BSpline
 
 from twin.model.causes import curve
 from twin.model.causes.catalogue import CATALOGUE, neutral
-from twin.model.extended import Base, acceleration, drive, position_of_reading, position_reading
+from twin.model.extended import (
+    Base,
+    acceleration,
+    current_of_reading,
+    current_reading,
+    drive,
+    position_of_reading,
+    position_reading,
+)
 
 CE152 = Base(K_A=0.3, T_A=0.02, K_c=3e-6, b=0.02, mass_kg=0.0084, gravity_m_s2=9.81, x_max_m=6e-3, travel_m=5e-3)
 LOW, HIGH = 1e-3, 4e-3
@@ -58,6 +66,16 @@ def test_the_reading_of_a_sensor_with_a_curve_is_undone(k: list[float], share: f
     assert position_of_reading(CE152, c, position_reading(CE152, c, x, 0.6), 0.6) == pytest.approx(x, abs=1e-8)
 
 
+@given(
+    k=st.lists(st.floats(-0.03, 0.03), min_size=curve.COEFFICIENTS, max_size=curve.COEFFICIENTS),
+    i=st.floats(0.0, 1.5),
+)
+def test_the_reading_of_a_current_sensor_with_a_curve_is_undone(k: list[float], i: float) -> None:
+    c = having(curve.READING_OVER_I, np.array(k), 0.3, 1.2)
+
+    assert current_of_reading(c, current_reading(c, i)) == pytest.approx(i, abs=1e-6)
+
+
 def test_outside_its_range_a_curve_fades_to_nothing_without_a_jump() -> None:
     c = having(curve.FORCE_OVER_X, np.full(curve.COEFFICIENTS, 0.3))
     knot = (HIGH - LOW) / (curve.COEFFICIENTS - 3)
@@ -79,6 +97,7 @@ def test_a_curve_without_a_range_is_exactly_absent() -> None:
         assert drive(CE152, c, 2.0, 0.0) == drive(CE152, neutral(), 2.0, 0.0)
         assert acceleration(CE152, c, 0.6, 2e-3, 0.1, 0.0) == acceleration(CE152, neutral(), 0.6, 2e-3, 0.1, 0.0)
         assert position_reading(CE152, c, 2e-3, 0.6) == position_reading(CE152, neutral(), 2e-3, 0.6)
+        assert current_reading(c, 0.6) == current_of_reading(c, 0.6) == 0.6
 
 
 def test_each_curve_is_a_share_of_what_its_text_says() -> None:
@@ -92,6 +111,7 @@ def test_each_curve_is_a_share_of_what_its_text_says() -> None:
 
     assert change(curve.FORCE_OVER_X, 0.0, 5e-3) == pytest.approx(0.1 * weight)
     assert change(curve.FORCE_OVER_V, -1.0, 1.0) == pytest.approx(0.1 * weight)
+    assert change(curve.DRAG_OVER_X, 0.0, 5e-3) == pytest.approx(-0.1 * weight * v / 0.1)
     assert change(curve.PULL_OVER_X, 0.0, 5e-3) == pytest.approx(0.1 * pull)
     assert change(curve.PULL_OVER_I, 0.0, 2.0) == pytest.approx(0.1 * pull)
     i_0 = np.sqrt(p.mass_kg * p.gravity_m_s2 / p.K_c) * (p.x_max_m - 0.5 * p.travel_m)
@@ -99,6 +119,7 @@ def test_each_curve_is_a_share_of_what_its_text_says() -> None:
     assert driven == pytest.approx(0.1 * i_0)
     shift = position_reading(p, having(curve.SENSOR_OVER_X, k, 0.0, 5e-3), x, i) - x
     assert shift == pytest.approx(0.1 * p.travel_m)
+    assert current_reading(having(curve.READING_OVER_I, k, 0.0, 2.0), i) == pytest.approx(1.1 * i)
 
 
 def test_a_curve_is_no_entry_of_the_catalogue() -> None:

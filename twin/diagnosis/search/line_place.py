@@ -85,6 +85,15 @@ def reading_leads(criterion: Criterion, theta: Theta, frequency_hz: float) -> fl
     return _gain(criterion, white, misread) - _gain(criterion, white, flows)
 
 
+def sensor_leads(criterion: Criterion, theta: Theta, frequency_hz: float) -> float:
+    """The lead of log-likelihood of a line of x as an error of its reading over a second periodic force."""
+    white = whitened(criterion.outputs(theta))
+    bare = replace(theta.without(FORCE, criterion.plant), phases_s=())
+    still = whitened(criterion.outputs(bare))
+    force = [whitened(out) - still for out in periodic.shaken(criterion, bare, frequency_hz)]
+    return _gain(criterion, white, _misread(criterion, theta, white, frequency_hz)) - _gain(criterion, white, force)
+
+
 def _misread(criterion: Criterion, theta: Theta, white: FloatArray, frequency_hz: float) -> list[FloatArray]:
     """The changes of the whitened innovations by a sine and a cosine in the readings of x, each of shape (n, 2)."""
     size_m = BY_NAME[SENSOR].strength.probes[0]

@@ -30,7 +30,8 @@ CAUSE = Cause(
             high=20.0,
             probes=(2.0, 1.5, 1.2, 1.05, 0.9),
         ),
-        CauseParameter(name="softness", symbol="s", index=SOFTNESS, low=0.0, high=0.5, probes=(0.05,), spread=0.2),
+        # A softer knee, such as a cube of u_c, bends the gain at all inputs, and its limit lies far beyond the data.
+        CauseParameter(name="softness", symbol="s", index=SOFTNESS, low=0.0, high=0.25, probes=(0.05,), spread=0.2),
         CauseParameter(name="fold", symbol="f", index=FOLD, low=0.0, high=1.0, probes=(0.1,), spread=0.3),
     ),
     signature="i_c stays flat at one value while u_c still rises",

@@ -4,8 +4,8 @@
 
 Rule 1: a curve without a range is exactly absent; the extended model is then the one with the causes alone.
 Rule 2: outside its range a curve fades to 0 within three knots: nothing is extrapolated.
-Rule 3: g is a share of the weight, the magnetic force, the current that holds the ball at mid-travel, or the travel.
-        So one prior serves all rigs.
+Rule 3: g is a share of the weight, the magnetic force, the current that holds the ball at mid-travel, or the travel;
+        of a drag, a share of the weight at a certain speed.  So one prior serves all rigs.
 
 B-splines with a prior on their coefficients are a Gaussian process of few numbers (P. H. C. Eilers, B. D. Marx,
 Statistical Science 11(2), 1996, doi:10.1214/ss/1038425655).
@@ -23,6 +23,8 @@ COEFFICIENTS = 8  # of a curve, which takes ten places with the two ends of its 
 SPREAD = 0.1  # prior of a coefficient, one standard deviation: a tenth of the weight, of the magnetic force, ...
 FIRST = 49  # place in the vector c of the first curve
 FORCE_OVER_X, FORCE_OVER_V, PULL_OVER_X, PULL_OVER_I, DRIVE_OVER_U, SENSOR_OVER_X = range(FIRST, FIRST + 60, 10)
+DRAG_OVER_X, READING_OVER_I = 130, 140
+DRAG_AT_M_S = 0.1  # the speed at which a drag over the height is a share of the weight
 
 
 def _curve(
@@ -77,6 +79,15 @@ CURVES: tuple[Cause, ...] = (
         "m x'' = ... + m g g(x')",
     ),
     _curve(
+        "drag-over-height",
+        DRAG_OVER_X,
+        "motion",
+        "a drag that depends on the height",
+        ("x", "m"),
+        "of the weight at a speed of 0.1 m/s",
+        "m x'' = ... - m g g(x) x' / (0.1 m/s)",
+    ),
+    _curve(
         "pull-over-height",
         PULL_OVER_X,
         "force",
@@ -112,15 +123,26 @@ CURVES: tuple[Cause, ...] = (
         "of the travel",
         "x_measured = ... + l g(x)",
     ),
+    _curve(
+        "reading-over-current",
+        READING_OVER_I,
+        "sensing",
+        "an error of the current sensor that depends on the current",
+        ("i", "A"),
+        "of the current",
+        "i_measured = i (1 + g(i))",
+    ),
 )
 # A curve may be the free form of the causes that act on one of these (`Cause.acts_on`).
 FREE_FORM_OF = {
     "force-over-height": ("net force of (6)",),
     "force-over-speed": ("net force of (6)", "drag (5)"),
+    "drag-over-height": ("drag (5)",),
     "pull-over-height": ("magnetic force (3)",),
     "pull-over-current": ("magnetic force (3)",),
     "drive-over-input": ("input of (1)", "target current of (1)"),
     "sensor-over-height": ("position sensor",),
+    "reading-over-current": ("current sensor",),
 }
 
 
