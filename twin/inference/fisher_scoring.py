@@ -94,7 +94,7 @@ def _varies(name: str) -> bool:
 
 
 def _with_neutral(fit: Fit, free: Sequence[str]) -> Fit:
-    """Return the fit as one in `free`, of which those that it did not have are at their bound."""
+    """Return the fit as one in `free`, of which those that it did not have stay where they are."""
     covariance = np.zeros((len(free), len(free)))
     indices = [free.index(name) for name in fit.free]
     covariance[np.ix_(indices, indices)] = fit.covariance
@@ -107,11 +107,10 @@ def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:
     Its likelihood is that of all samples.  `ahead` is the gain that the part leaves.  The slope at its
     end promises some of it.  The scatter of the maxima of parts adds half a unit for each coordinate and further part.
     """
-    # A slow effect does not show in the blocks of the part, each of which begins anew: its time would run to its limit.
-    is_slow = any("." in name and name.partition(".")[0] in with_trait("warms") for name in free)
-    part = criterion if is_slow else criterion.thinner
+    part = criterion.thinner
     if part is not criterion:
-        fit = climb(part, start, free, passes=settings.PASSES_APPROACH, approximate=True)
+        shown = [name for name in free if not _is_slow(name)]
+        fit = _with_neutral(climb(part, start, shown, passes=settings.PASSES_APPROACH, approximate=True), free)
         before, after = criterion.values([start, fit.theta])
     # Going astray is judged by all samples, which cost two runs; the part's own likelihood would not show it.
     if part is criterion or after < before:  # the part does not show an effect, and the fit went astray
@@ -124,6 +123,14 @@ def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:
         covariance=covariance,
         ahead=fit.ahead / part.share + 0.5 * len(free) * (1.0 / part.share - 1.0),
     )
+
+
+def _is_slow(name: str) -> bool:
+    """Tell whether a coordinate is the time of a slow effect, which would run to its limit over a part of the samples.
+
+    The blocks of a part are short, and each begins anew.
+    """
+    return name.partition(".")[0] in with_trait("warms") and parameter_of(name).unit == "s"
 
 
 def narrowing(free: Sequence[str], covariance: FloatArray) -> float:

@@ -186,7 +186,7 @@ PLACE_SHARE = 1e-3
 
 # Filter steps of a diagnosis (a million takes 0.06 to 0.09 s of processor time), and the share of them for experiments
 # and gain, whatever the search takes.
-BUDGET_QUICK, BUDGET_FULL = 600e6, 20_000e6
+BUDGET_QUICK, BUDGET_FULL = 800e6, 20_000e6
 BUDGET_RESERVED = 0.2
 # With --quick, samples of a closed-loop or open-loop recording (four seconds at 500 Hz), and of all flights together.
 QUICK_FLIGHT_SAMPLES = 2000

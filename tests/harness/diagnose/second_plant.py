@@ -46,6 +46,8 @@ PATCH_M, PATCH_HALF_WIDTH_M = 2.4e-3, 0.15e-3  # friction-patch
 WIRE_FROM_M = 2.5e-3  # wire-spring: slack below
 DRIFT_TIME_S = 40.0  # sensor-warm-up
 SAG_TIME_S = 1.5  # supply-sag
+FILM_M = 0.5e-3  # squeeze-film: its reach above the lower stop
+BOW_TO_A = 1.5  # current-bow: a reading is right at 0 and here
 LOOP_TURN_A = 0.12
 HUM_HZ = 50.0  # sensor-hum
 
@@ -109,6 +111,8 @@ class Numbers(NamedTuple):
     sag: float
     hum: float
     octave: float
+    film: float
+    i_bow: float
 
 
 def njit(function: Callable[P, R]) -> Callable[P, R]:
@@ -201,7 +205,8 @@ def pass_time(
         if c.wire != 0.0 and x_half > WIRE_FROM_M:
             force -= c.wire * (x_half - WIRE_FROM_M) ** 3
         force -= c.spring * x_half
-        drag = 0.5 * h * (c.b + c.drag2 * abs(v)) / c.m
+        film = c.film * (FILM_M / (x_half + FILM_M)) ** 3 if c.film != 0.0 else 0.0
+        drag = 0.5 * h * (c.b + film + c.drag2 * abs(v)) / c.m
         v_new = (v * (1.0 - drag) + h * force / c.m) / (1.0 + drag)
         dry = c.friction
         if c.patch != 0.0 and abs(x_half - PATCH_M) < PATCH_HALF_WIDTH_M:
@@ -250,7 +255,8 @@ def sense(
         if abs(x - y[HELD]) > c.stick:
             y[HELD] = x
         x = y[HELD]
-    i = c.i_gain * i_past[at] + c.i_offset + i_noise
+    i = i_past[at] * (1.0 + c.i_bow * (1.0 - i_past[at] / BOW_TO_A))
+    i = c.i_gain * i + c.i_offset + i_noise
     return convert(i, CURRENT_ADC[0], CURRENT_ADC[1]), convert(x, POSITION_ADC[0], POSITION_ADC[1])
 
 

@@ -57,6 +57,22 @@ def test_the_way_over_a_part_ends_near_the_maximum_of_all(criterion: Criterion, 
     assert climb(criterion, approached.theta, FREE).loglik == pytest.approx(end.loglik, abs=0.1)
 
 
+@pytest.mark.slow
+def test_a_slow_effect_is_not_fitted_to_blocks_that_each_begin_anew() -> None:
+    """A block is 0.2 s long: over them the time of a drift ran to the end of its range, and no fit came back."""
+    cause = "amplifier-gain-drift"
+    criterion = criterion_of(narrow(strong(cause, 0.03), seconds=50.0))
+    try:
+        base = approach(criterion, THETA, BASE)
+        fit = approach(criterion, strong(cause, 0.02, base.theta), (*BASE, *coordinates_of(cause)))
+    finally:
+        criterion.close()
+
+    assert criterion.thinner is not criterion
+    assert fit.theta.value(f"{cause}.tau_s") == pytest.approx(30.0, rel=1.0)
+    assert fit.loglik > base.loglik + 1000.0
+
+
 def test_a_part_scores_as_all_samples_would(criterion: Criterion, base: Fit) -> None:
     """To the scatter of the part: a force that does not change shows in some blocks more than in others."""
     causes = [BY_NAME[CAUSE], BY_NAME["quadratic-drag"]]

@@ -93,6 +93,22 @@ def test_a_law_of_the_magnet_s_force_for_a_spring_falls(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("outside", "name", "curve"),
+    [
+        ({"squeeze-film": 0.5}, "magnetic-hysteresis", "drag-over-height"),
+        ({"current-bow": 0.08}, "current-sensor-offset", "reading-over-current"),
+    ],
+)
+def test_a_name_falls_for_a_drag_near_the_stop_and_for_a_current_sensor_that_bends(
+    outside: dict[str, float], name: str, curve: str, tmp_path: Path
+) -> None:
+    results = rivals(tmp_path, name, plant="independent", outside=outside, seed=13301)
+
+    assert results[name].curve.name == curve
+
+
+@pytest.mark.slow
 def test_a_fit_of_a_curve_begins_where_the_linear_step_has_not_gone_astray(tmp_path: Path) -> None:
     with paper_model(tmp_path, {"spring-of-a-cable": 4.0}, seed=SEED, plant="independent") as (criterion, base):
         curves = scores(criterion, base, CURVES)

@@ -12,7 +12,7 @@ from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, TICK_S, rig_of, strong
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
-from twin.diagnosis.search.line_place import FORCE, SENSOR, place_gains, reading_leads
+from twin.diagnosis.search.line_place import FORCE, SENSOR, place_gains, reading_leads, sensor_leads
 from twin.diagnosis.search.sensor_line import line_scores
 from twin.diagnosis.search.stepwise import select
 from twin.diagnosis.search.task import Search
@@ -68,6 +68,22 @@ def test_flights_over_the_travel_tell_a_slow_force_from_a_reading(cause: str) ->
     rig = rig_with(cause, 8.0)
 
     assert leads(rig, [steps(rig, seed=3), steps(rig, seed=4)], cause)
+
+
+@pytest.mark.parametrize("cause", SIZES)
+def test_beside_a_periodic_force_a_line_of_x_is_a_reading_only_if_no_second_force_explains_it(cause: str) -> None:
+    rig = rig_with(cause)
+    rest = Schedule(name="rest", kind="free", command=np.full(1500, 1.5), closed_loop=False)
+    criterion = criterion_of([hover(rig, 1), *simulate(rig_of(rig), rest, seed=2)])
+    first = strong(FORCE, 1e-5, QUIET).having(f"{FORCE}.frequency_hz", 8.0)
+    try:
+        lead = sensor_leads(criterion, first, 50.0)
+        scores = line_scores(criterion, climb(criterion, first, BASE), [BY_NAME[SENSOR]])
+    finally:
+        criterion.close()
+
+    assert (lead > settings.EQUIVALENT_GAIN) == (cause == SENSOR)
+    assert [score.cause for score in scores] == ([SENSOR] if cause == SENSOR else [])
 
 
 @pytest.mark.slow
