@@ -109,8 +109,8 @@ def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:
     """
     part = criterion.thinner
     if part is not criterion:
-        shown = [name for name in free if not _is_slow(name)]
-        fit = _with_neutral(climb(part, start, shown, passes=settings.PASSES_APPROACH, approximate=True), free)
+        fast = [name for name in free if not _is_slow(name)]
+        fit = _with_neutral(climb(part, start, fast, passes=settings.PASSES_APPROACH, approximate=True), free)
         before, after = criterion.values([start, fit.theta])
     # Going astray is judged by all samples, which cost two runs; the part's own likelihood would not show it.
     if part is criterion or after < before:  # the part does not show an effect, and the fit went astray

@@ -89,8 +89,8 @@ def sensor_leads(criterion: Criterion, theta: Theta, frequency_hz: float) -> flo
     """The lead of log-likelihood of a line of x as an error of its reading over a second periodic force."""
     white = whitened(criterion.outputs(theta))
     bare = replace(theta.without(FORCE, criterion.plant), phases_s=())
-    still = whitened(criterion.outputs(bare))
-    force = [whitened(out) - still for out in periodic.shaken(criterion, bare, frequency_hz)]
+    reference = whitened(criterion.outputs(bare))
+    force = [whitened(out) - reference for out in periodic.shaken(criterion, bare, frequency_hz)]
     return _gain(criterion, white, _misread(criterion, theta, white, frequency_hz)) - _gain(criterion, white, force)
 
 
