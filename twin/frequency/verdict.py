@@ -198,7 +198,7 @@ def _sentence(tests: Sequence[Test], low: float, high: float, heights: int) -> s
         also = f" It is refused in {' and '.join(WORDS[name] for name in names)}, too."
         total = min((test for test in failed if test.name == "plant"), key=lambda test: test.p, default=first)
         if total is not first and total.forms[0].p_left > LEVEL:
-            also += f" From u_c to x the difference is as {total.forms[0].text} would give."
+            also += f" From u_c to x, {total.forms[0].text} would explain the difference."
     return f"The model does not explain the loop {where}: {clause(first)}.{also}"
 
 
@@ -215,15 +215,15 @@ def clause(test: Test) -> str:
     places = f"{_where(test)}{what} (at {test.worst_hz:.3g} Hz)"
     good = [form for form in test.forms if form.p_left > LEVEL]
     if good:
-        return f"{places}, as {' or '.join(form.text for form in good)} would"
-    return f"{places}; no gain, delay or lag alone gives this, nearest is {test.forms[0].text}"
+        return f"{places}; {' or '.join(form.text for form in good)} would explain it"
+    return f"{places}; no gain, delay or lag alone explains it, the nearest is {test.forms[0].text}"
 
 
 def _where(test: Test) -> str:
     """The frequencies that are refused one by one; '' if only all together are."""
     wrong = test.refused_hz
     if not len(wrong):
-        return "no single frequency stands out, but together "
+        return "no single frequency stands out, but over all of them "
     every = np.union1d(test.certain_hz, wrong)  # what is not measured cannot be refused
     if len(np.unique(wrong)) == len(every):
         return f"at {every[0]:.2g} to {every[-1]:.2g} Hz "

@@ -110,7 +110,7 @@ class Mirror:
             answer = step(
                 packed,
                 regime.yardstick(now.x_ref) if flying and now.closed_loop else regime.sensors_yardstick,
-                # Tick, as it is: this is 500 times a second.
+                # A plain tuple in the order of `Tick`, which would take longer to make: this runs 500 times a second.
                 (
                     now.i,
                     now.x,

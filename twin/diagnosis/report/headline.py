@@ -14,6 +14,7 @@ from twin.diagnosis.report.sentences import (
     candidates_sentence,
     capital,
     cause_sentence,
+    larger_walk,
 )
 from twin.diagnosis.result import Diagnosis, Finding
 from twin.model.causes.catalogue import BY_NAME
@@ -47,7 +48,8 @@ def _answer(diagnosis: Diagnosis) -> tuple[str, ...]:
 
 def _difference(causes: Sequence[Finding]) -> str:
     if len(causes) == 1:
-        return capital(cause_sentence(causes[0].name, causes[0].parameters))
+        cause, parameters = causes[0].name, causes[0].parameters
+        return capital(f"{cause_sentence(cause, parameters)} {larger_walk(cause, parameters)}".rstrip())
     return f"{NUMBERS.get(len(causes), str(len(causes)))} causes act: {_listed(causes)}"
 
 

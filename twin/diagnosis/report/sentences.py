@@ -88,6 +88,18 @@ def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
     return f"{text} ({details})" if details else text
 
 
+def larger_walk(cause: str, parameters: Mapping[str, Parameter]) -> str:
+    """How far an error wanders in a minute, if that is more than its mean; else ""."""
+    known = BY_NAME[cause]
+    mean = abs(parameters[known.strength.name].value)
+    walks = (shape for shape in known.shapes if shape.walks and shape.name in parameters)
+    return " ".join(
+        f"and {_spread_sentence(shape, parameters[shape.name])}"
+        for shape in walks
+        if parameters[shape.name].value > mean and _differs(shape, parameters[shape.name])
+    )
+
+
 def _differs(shape: CauseParameter, parameter: Parameter) -> bool:
     return abs(parameter.value - shape.neutral) > 2.0 * (parameter.std or 0.0)
 

@@ -28,10 +28,10 @@ def shown(work: ModelWork, reports: Library, board: str, name: str) -> dict[str,
     """Return the values of the template.
 
     Args:
-        work: what lies in the folders.
-        reports: that may be shown.
-        board: of the rig.
-        name: of the campaign; empty: the newest finished one.
+        work: the folders of the campaigns and models.
+        reports: the reports that the page may show.
+        board: name of the rig.
+        name: name of the campaign; empty: the newest finished one.
     """
     campaigns, running = work.campaigns(board), work.feed.latest(board, pb.TwinModel)
     chosen = folders.choose(campaigns, name)

@@ -42,6 +42,15 @@ def test_one_cause_is_a_size_and_a_cure() -> None:
     )
 
 
+@pytest.mark.parametrize(("wander_a", "says"), [(0.05, True), (0.001, False)])
+def test_an_offset_that_wanders_by_more_than_its_mean_says_so(wander_a: float, says: bool) -> None:
+    known = replace(next(iter(GAP.parameters.values())), unit="A", std=1e-4, ci95=None)
+    sizes = {"offset_a": replace(known, value=0.003), "wander_a": replace(known, value=wander_a)}
+    finding = replace(GAP, name="current-sensor-offset", parameters=sizes)
+
+    assert ("wanders by 50 mA in a minute" in headline(replace(GAP_DIAGNOSIS, causes=(finding,)))) == says
+
+
 def test_a_class_asks_for_the_experiment_that_splits_it() -> None:
     text = headline(with_class("force-exponent", "steps-low"))
 
