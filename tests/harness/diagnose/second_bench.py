@@ -209,6 +209,7 @@ def numbers(
         sag=outside.get("supply-sag", 0.0),
         hum=outside.get("sensor-hum", 0.0),
         octave=outside.get("sensor-hum-octave", 0.0),
+        shake_octave=outside.get("shake-octave", 0.0),
         film=outside.get("squeeze-film", 0.0),
         i_bow=outside.get("current-bow", 0.0),
     )

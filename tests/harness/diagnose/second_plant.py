@@ -111,6 +111,7 @@ class Numbers(NamedTuple):
     sag: float
     hum: float
     octave: float
+    shake_octave: float  # share of a second harmonic
     film: float
     i_bow: float
 
@@ -201,7 +202,8 @@ def pass_time(
         x_half = x + 0.5 * h * v
         force = lift(x_half, field, c) - c.m * c.g + c.force
         if c.shake != 0.0:
-            force += c.shake * math.sin(2.0 * math.pi * c.shake_hz * (t + 0.5 * h) + c.shake_phase)
+            turn = 2.0 * math.pi * c.shake_hz * (t + 0.5 * h) + c.shake_phase
+            force += c.shake * (math.sin(turn) + c.shake_octave * math.sin(2.0 * turn + 1.0))
         if c.wire != 0.0 and x_half > WIRE_FROM_M:
             force -= c.wire * (x_half - WIRE_FROM_M) ** 3
         force -= c.spring * x_half

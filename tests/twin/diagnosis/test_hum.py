@@ -1,13 +1,15 @@
-"""Mains in the position sensor of a rig that shares no equation with the twin: recorded, diagnosed, predicted."""
+"""Mains in the position sensor, and a shaken table, of a rig that shares no equation with the twin."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
 
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
+from twin.diagnosis.options import Options
 from twin.diagnosis.pipeline import diagnose
 
 LINE, HUM_M, HUM_HZ = "position-sensor-line", 20e-6, 50.0
@@ -39,6 +41,21 @@ def test_mains_in_x_are_named_and_predicted(tmp_path: Path, octave_m: float) -> 
     assert "in its sensor, not in the force" in diagnosis.sentence
     assert diagnosis.gain is not None
     assert diagnosis.gain.removed > 0.9
+
+
+@pytest.mark.slow
+def test_a_harmonic_of_a_periodic_force_is_no_second_cause(tmp_path: Path) -> None:
+    effects, octave = {"periodic-disturbance": 3e-3}, {"shake-octave": 0.4}
+    make_campaign(tmp_path, effects=effects, seed=13601, plant="independent", outside=octave, quick=True)
+
+    diagnosis = diagnose(load(tmp_path / "campaign.toml"), Options(quick=True))
+
+    assert diagnosis.verdict == "causes-found"
+    (cause,) = diagnosis.causes
+    assert cause.name == "periodic-disturbance"
+    sizes = {name: parameter.value for name, parameter in cause.parameters.items()}
+    assert sizes["amplitude_n"] == pytest.approx(3e-3, rel=0.05)
+    assert math.hypot(sizes["sine_2"], sizes["cosine_2"]) == pytest.approx(0.4, rel=0.1)
 
 
 @pytest.mark.sample

@@ -28,6 +28,7 @@ from twin.estimation.innovations import Series, whitened
 from twin.estimation.record import FloatArray
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import Theta
+from twin.model.causes import periodic_disturbance
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.sensor_line import FIRST, harmonics
 from twin.settings import diagnosis as settings
@@ -57,20 +58,16 @@ def placed(criterion: Criterion, selected: Trial, trials: Sequence[Trial]) -> li
 def place_gains(criterion: Criterion, theta: Theta) -> Mapping[str, float]:
     """The gain of log-likelihood by the line of a model as a force, and as an error of x.
 
-    A force has one frequency; an error of x has the harmonics of the model, too.
+    Both have the harmonics of the model.
     """
-    lines = [line for line in harmonics(theta.vector(), 1) if line[1] > 0.0]
-    first_hz = lines[0][0] if lines else theta.value(periodic.FREQUENCY)
+    c = theta.vector()
+    lines = [hz for hz, size in harmonics(c, 1) if size > 0.0] or periodic_disturbance.frequencies(c)
     bare = replace(theta.without(FORCE, criterion.plant).without(SENSOR, criterion.plant), phases_s=())
     white = whitened(criterion.outputs(bare))
     # The signatures are differences of whole runs of the filter: it reacts to a line, and follows a part of it.
-    force = [whitened(out) - white for out in periodic.shaken(criterion, bare, first_hz)]
     return {
-        FORCE: _gain(criterion, white, force),
-        SENSOR: sum(
-            _gain(criterion, white, _misread(criterion, bare, white, hz))
-            for hz in ([hz for hz, _ in lines] or [first_hz])
-        ),
+        FORCE: sum(_gain(criterion, white, _forced(criterion, bare, white, hz)) for hz in lines),
+        SENSOR: sum(_gain(criterion, white, _misread(criterion, bare, white, hz)) for hz in lines),
     }
 
 
@@ -89,9 +86,13 @@ def sensor_leads(criterion: Criterion, theta: Theta, frequency_hz: float) -> flo
     """The lead of log-likelihood of a line of x as an error of its reading over a second periodic force."""
     white = whitened(criterion.outputs(theta))
     bare = replace(theta.without(FORCE, criterion.plant), phases_s=())
-    reference = whitened(criterion.outputs(bare))
-    force = [whitened(out) - reference for out in periodic.shaken(criterion, bare, frequency_hz)]
+    force = _forced(criterion, bare, whitened(criterion.outputs(bare)), frequency_hz)
     return _gain(criterion, white, _misread(criterion, theta, white, frequency_hz)) - _gain(criterion, white, force)
+
+
+def _forced(criterion: Criterion, bare: Theta, white: FloatArray, frequency_hz: float) -> list[FloatArray]:
+    """The changes of the whitened innovations of a model without a periodic force by a sine and a cosine of one."""
+    return [whitened(out) - white for out in periodic.shaken(criterion, bare, frequency_hz)]
 
 
 def _misread(criterion: Criterion, theta: Theta, white: FloatArray, frequency_hz: float) -> list[FloatArray]:

@@ -24,7 +24,7 @@ from twin.model.causes.catalogue import cause_of_detector
 from twin.settings import diagnosis as settings
 
 CAUSE = cause_of_detector("spectral-line")
-AMPLITUDE, FREQUENCY = (f"{CAUSE.name}.{parameter.name}" for parameter in CAUSE.parameters)
+AMPLITUDE, FREQUENCY = (f"{CAUSE.name}.{parameter.name}" for parameter in CAUSE.parameters[:2])
 _STEP = 0.1  # rad, to take the slope of a phase by
 _FAR_STEPS = 4.0  # of these at once: farther away a parabola does not lead
 

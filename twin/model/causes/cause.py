@@ -25,7 +25,7 @@ Trait = Literal[
 # found in what is left, and an error of what the campaign states, which only competes with a named cause.
 Detector = Literal["score-test", "spectral-line", "sensor-line", "gaps", "remainder", "stated"]
 AtRest = Literal["", "balance", "amplifier"]
-PLACES = 150
+PLACES = 154
 NO_PLACE = -1  # of a parameter that acts before the kernels
 
 

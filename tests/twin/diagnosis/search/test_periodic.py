@@ -72,6 +72,25 @@ def test_the_frequency_is_found_with_recordings_that_are_a_minute_into_the_campa
     assert fit.theta.value(AMPLITUDE) == pytest.approx(FORCE_N, rel=0.03)
 
 
+def test_the_form_of_a_force_that_is_no_sinusoid_is_found() -> None:
+    form = {f"{CAUSE.name}.sine_3": 1.0 / 3.0, f"{CAUSE.name}.cosine_2": -0.2}
+    rig = strong(CAUSE.name, FORCE_N, QUIET).having(FREQUENCY, FREQUENCY_HZ).all_of(form.items())
+    criterion = Criterion(
+        gather([steps(rig, seed=seed, seconds=20.0) for seed in (3, 4)], PLANT), PLANT, TICK_S, workers=1
+    )
+    try:
+        line = find_line(criterion, QUIET)
+        assert line is not None
+        free = (*BASE, *coordinates_of(CAUSE.name))
+        fit = fit_phases(criterion, climb(criterion, with_line(line), free), settings.PASSES)
+    finally:
+        criterion.close()
+
+    for name in coordinates_of(CAUSE.name)[2:]:
+        assert fit.theta.value(name) == pytest.approx(form.get(name, 0.0), abs=max(4.0 * fit.std(name, PLANT), 0.01))
+        assert fit.std(name, PLANT) < 0.05
+
+
 def test_a_short_recording_has_a_phase_of_its_own() -> None:
     rig = strong(CAUSE.name, FORCE_N, QUIET).having(FREQUENCY, FREQUENCY_HZ)
     long, short = steps(rig, seed=3, seconds=20.0), steps(rig, seed=4, seconds=0.5)
