@@ -89,7 +89,7 @@ def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
 
 
 def larger_walk(cause: str, parameters: Mapping[str, Parameter]) -> str:
-    """How far an error wanders in a minute, if that is more than its mean; else ""."""
+    """Return how far an error wanders in a minute, if that is more than its mean; else ""."""
     known = BY_NAME[cause]
     mean = abs(parameters[known.strength.name].value)
     walks = (shape for shape in known.shapes if shape.walks and shape.name in parameters)

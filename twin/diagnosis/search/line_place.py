@@ -28,7 +28,6 @@ from twin.estimation.innovations import Series, whitened
 from twin.estimation.record import FloatArray
 from twin.inference.likelihood import Criterion
 from twin.inference.theta import Theta
-from twin.model.causes import periodic_disturbance
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.sensor_line import FIRST, harmonics
 from twin.settings import diagnosis as settings
@@ -60,8 +59,7 @@ def place_gains(criterion: Criterion, theta: Theta) -> Mapping[str, float]:
 
     Both have the harmonics of the model.
     """
-    c = theta.vector()
-    lines = [hz for hz, size in harmonics(c, 1) if size > 0.0] or periodic_disturbance.frequencies(c)
+    lines = [hz for hz, size in harmonics(theta.vector(), 1) if size > 0.0] or periodic.frequencies(theta)
     bare = replace(theta.without(FORCE, criterion.plant).without(SENSOR, criterion.plant), phases_s=())
     white = whitened(criterion.outputs(bare))
     # The signatures are differences of whole runs of the filter: it reacts to a line, and follows a part of it.

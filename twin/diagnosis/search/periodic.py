@@ -95,6 +95,12 @@ def shaken(criterion: Criterion, theta: Theta, frequency_hz: float) -> list[Floa
     return [criterion.outputs(replace(at, phases_s=(s,) * count)) for s in (0.0, 0.25 / frequency_hz)]
 
 
+def frequencies(theta: Theta) -> list[float]:
+    """Return the frequency of the force in a model and of each harmonic that it has, Hz."""
+    orders = {shape.name.rpartition("_")[2] for shape in CAUSE.shapes if theta.value(f"{CAUSE.name}.{shape.name}")}
+    return [k * theta.value(FREQUENCY) for k in (1, *sorted(int(order) for order in orders))]
+
+
 def score(criterion: Criterion, theta: Theta) -> Score | None:
     """The score of the strongest line as a force; None where there is none, or where the model has it."""
     line = None if any(name == AMPLITUDE for name, _ in theta.causes) else find_line(criterion, theta)

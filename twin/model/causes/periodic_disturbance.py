@@ -59,9 +59,3 @@ def force_n(c: Vector, t: float) -> float:
     second = c[SINE_2] * 2.0 * s * k + c[COSINE_2] * (1.0 - 2.0 * s * s)
     third = c[SINE_3] * s * (3.0 - 4.0 * s * s) + c[COSINE_3] * k * (4.0 * k * k - 3.0)
     return c[AMPLITUDE] * (s + second + third)
-
-
-def frequencies(c: Vector) -> list[float]:
-    """Return the frequency of the force and of each harmonic that it has, Hz."""
-    parts = (1, True), (2, c[SINE_2] or c[COSINE_2]), (3, c[SINE_3] or c[COSINE_3])
-    return [k * c[FREQUENCY] for k, exists in parts if exists]
