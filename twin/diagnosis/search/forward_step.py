@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.diagnosis.search import periodic
 from twin.diagnosis.search.candidate_fits import Trial, fit_candidates, steepness, within_range
+from twin.diagnosis.search.line_place import place_lead
 from twin.diagnosis.search.prediction_benefit import error_reduction
 from twin.diagnosis.search.score_test import Score, probed, screen
 from twin.diagnosis.search.sensor_line import line_scores
@@ -54,7 +55,10 @@ def forward(search: Search, base: Fit, current: Fit) -> Round:
         # one frequency would miss all others.
         if any(cause.name == periodic.CAUSE.name for cause in search.candidates):
             force = periodic.score(criterion, current.theta)
-            scores = sorted([*scores, force], key=lambda entry: -entry.gain) if force is not None else scores
+            if force is not None:
+                frequency_hz = dict(force.other_values)[periodic.FREQUENCY]
+                if place_lead(criterion, current.theta, force.cause, frequency_hz) > settings.EQUIVALENT_GAIN:
+                    scores = sorted([*scores, force], key=lambda entry: -entry.gain)
         lines = line_scores(criterion, current, search.candidates)
         scores = sorted([*scores, *lines], key=lambda entry: -entry.gain) if lines else scores
         scores = _with_dead_time(criterion, current, scores)

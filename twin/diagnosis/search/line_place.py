@@ -80,8 +80,20 @@ def reading_leads(criterion: Criterion, theta: Theta, frequency_hz: float) -> fl
     return _gain(criterion, white, misread) - _gain(criterion, white, flows)
 
 
-def sensor_leads(criterion: Criterion, theta: Theta, frequency_hz: float) -> float:
-    """The lead of log-likelihood of a line of x as an error of its reading over a second periodic force."""
+def place_lead(criterion: Criterion, theta: Theta, cause: str, frequency_hz: float) -> float:
+    """The lead of log-likelihood of a further line of x at one place over the other, which the model has a line of.
+
+    A model has one force and one line of the sensor.  inf without the other: it then competes as a candidate.
+    """
+    other = {SENSOR: FORCE, FORCE: SENSOR}[cause]
+    if not any(name.startswith(f"{other}.") for name, _ in theta.causes):
+        return math.inf
+    lead = _sensor_lead(criterion, theta, frequency_hz)
+    return lead if cause == SENSOR else -lead
+
+
+def _sensor_lead(criterion: Criterion, theta: Theta, frequency_hz: float) -> float:
+    """The lead of a line of x as an error of its reading over a force, both beside those of the model."""
     white = whitened(criterion.outputs(theta))
     bare = replace(theta.without(FORCE, criterion.plant), phases_s=())
     force = _forced(criterion, bare, whitened(criterion.outputs(bare)), frequency_hz)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnosis.search.line_place import FORCE, reading_leads, sensor_leads
+from twin.diagnosis.search.line_place import place_lead, reading_leads
 from twin.diagnosis.search.score_test import Score, probed
 from twin.estimation.innovations import Series, whitened
 from twin.estimation.periodogram import TRIED, highest_hz, spectrum_of
@@ -78,14 +78,13 @@ def line_scores(criterion: Criterion, current: Fit, candidates: Iterable[Cause])
         line = find_line(criterion.evidence.series, white, column, criterion.tick_s)
         if line is None:
             continue
-        # The motion of the ball must show that a line of i_c does not flow, as the name says.  A line of x may be a
-        # second periodic force, of which the catalogue has one; the first competes with it as a candidate.
-        leads = math.inf
-        if column == 0:
-            leads = reading_leads(criterion, current.theta, line.frequency_hz)
-        elif FORCE in present:
-            leads = sensor_leads(criterion, current.theta, line.frequency_hz)
-        if leads > settings.EQUIVALENT_GAIN:
+        # The motion of the ball must show that a line of i_c does not flow, as the name says.
+        lead = (
+            reading_leads(criterion, current.theta, line.frequency_hz)
+            if column == 0
+            else place_lead(criterion, current.theta, cause.name, line.frequency_hz)
+        )
+        if lead > settings.EQUIVALENT_GAIN:
             sigma = math.sqrt(float(np.nanmedian(out[:, (2, 4)[column]])))
             scores.append(_score(criterion, current, cause, line, line.amplitude * sigma))
     return scores

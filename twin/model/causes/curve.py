@@ -4,8 +4,8 @@
 
 Rule 1: a curve without a range is exactly absent; the extended model is then the one with the causes alone.
 Rule 2: outside its range a curve fades to 0 within three knots: nothing is extrapolated.
-Rule 3: g is a share of the weight, the magnetic force, the current that holds the ball at mid-travel, or the travel;
-        of a drag, a share of the weight at a certain speed.  So one prior serves all rigs.
+Rule 3: g is a share of the weight, the magnetic force, the current that holds the ball at mid-travel, the current, or
+        the travel.  A drag is a share of the weight at DRAG_AT_M_S.  So one prior serves all rigs.
 
 B-splines with a prior on their coefficients are a Gaussian process of few numbers (P. H. C. Eilers, B. D. Marx,
 Statistical Science 11(2), 1996, doi:10.1214/ss/1038425655).

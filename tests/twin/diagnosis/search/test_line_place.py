@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, TICK_S, rig_of, strong
 from twin.diagnosis.experiments.virtual_recordings import Schedule, simulate
-from twin.diagnosis.search.line_place import FORCE, SENSOR, place_gains, reading_leads, sensor_leads
+from twin.diagnosis.search.forward_step import forward
+from twin.diagnosis.search.line_place import FORCE, SENSOR, place_gains, place_lead, reading_leads
+from twin.diagnosis.search.periodic import FREQUENCY, score
 from twin.diagnosis.search.sensor_line import line_scores
 from twin.diagnosis.search.stepwise import select
 from twin.diagnosis.search.task import Search
@@ -22,7 +25,7 @@ from twin.inference.fisher_scoring import climb
 from twin.inference.initial_guess import start_theta
 from twin.inference.likelihood import Criterion
 from twin.inference.noise_floor import floor_of
-from twin.inference.theta import BASE, Theta
+from twin.inference.theta import BASE, Theta, coordinates_of
 from twin.model.causes.catalogue import BY_NAME
 from twin.readers.campaign import read_campaign
 from twin.settings import diagnosis as settings
@@ -71,19 +74,46 @@ def test_flights_over_the_travel_tell_a_slow_force_from_a_reading(cause: str) ->
 
 
 @pytest.mark.parametrize("cause", SIZES)
-def test_beside_a_periodic_force_a_line_of_x_is_a_reading_only_if_no_second_force_explains_it(cause: str) -> None:
+def test_a_second_line_of_x_has_the_place_that_explains_it(cause: str) -> None:
+    """The model has a line at each place, so the other place does not compete as a candidate."""
     rig = rig_with(cause)
     rest = Schedule(name="rest", kind="free", command=np.full(1500, 1.5), closed_loop=False)
     criterion = criterion_of([hover(rig, 1), *simulate(rig_of(rig), rest, seed=2)])
-    first = strong(FORCE, 1e-5, QUIET).having(f"{FORCE}.frequency_hz", 8.0)
+    first = {
+        FORCE: strong(FORCE, 1e-5, QUIET).having(f"{FORCE}.frequency_hz", 8.0),
+        SENSOR: strong(SENSOR, 1e-7, QUIET).having(f"{SENSOR}.frequency_hz", 120.0),
+    }
     try:
-        lead = sensor_leads(criterion, first, 50.0)
-        scores = line_scores(criterion, climb(criterion, first, BASE), [BY_NAME[SENSOR]])
+        lead_of_sensor = place_lead(criterion, first[FORCE], SENSOR, 50.0)
+        lead_of_force = place_lead(criterion, first[SENSOR], FORCE, 50.0)
+        scores = line_scores(criterion, climb(criterion, first[FORCE], BASE), [BY_NAME[SENSOR]])
     finally:
         criterion.close()
 
-    assert (lead > settings.EQUIVALENT_GAIN) == (cause == SENSOR)
+    assert (lead_of_sensor > settings.EQUIVALENT_GAIN) == (cause == SENSOR)
+    assert (lead_of_force > settings.EQUIVALENT_GAIN) == (cause == FORCE)
     assert [score.cause for score in scores] == ([SENSOR] if cause == SENSOR else [])
+
+
+@pytest.mark.slow
+def test_a_second_line_of_the_sensor_is_no_force() -> None:
+    rig = rig_with(SENSOR)
+    rest = Schedule(name="rest", kind="free", command=np.full(1500, 1.5), closed_loop=False)
+    records = [hover(rig, 1), *simulate(rig_of(rig), rest, seed=2)]
+    criterion = criterion_of(
+        [replace(record, x=record.x + 6e-6 * np.sin(2.0 * np.pi * 33.0 * record.t)) for record in records]
+    )
+    try:
+        base = climb(criterion, QUIET, BASE)
+        current = climb(criterion, rig, (*BASE, *coordinates_of(SENSOR)))
+        search = Search(criterion=criterion, floor=floor_of(criterion, base.theta), candidates=(BY_NAME[FORCE],))
+        line, step = score(criterion, current.theta), forward(search, base, current)
+    finally:
+        criterion.close()
+
+    assert line is not None
+    assert dict(line.other_values)[FREQUENCY] == pytest.approx(33.0, abs=0.1)
+    assert step.selected == ""
 
 
 @pytest.mark.slow
